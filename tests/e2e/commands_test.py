@@ -1,7 +1,7 @@
 """Every command of rcbctl, its --json fields as promised, its human form, and that neither mixes with the other."""
 import judge
 from protocol_client import Client
-from push_client import PushClient, Step
+from push_client import Block, PushClient
 from support import *
 
 STEP_REPORT = {"scene", "step", "epoch", "n", "error_before", "error", "imbalance", "repartitioned", "reason",
@@ -49,14 +49,15 @@ class Commands(Refusals, ServiceTest):
         self.assertEqual(self.service.json("push", "p", self.file, "--step", 9)["step"], 9)
         self.assertEqual(len(self.service.json("history", "p", "--last", 2)), 2)
 
-    def test_insert_into_a_scene_with_weights(self):
+    def test_a_particle_comes_into_a_scene_with_weights(self):
         some, more = self.named("some.csv"), self.named("more.csv")
-        for name, rows in ((some, "0,0,0,1\n1,1,1,2\n"), (more, ".5,.5,.5,4\n")):
+        for name, rows in ((some, "0,0,0,1\n1,1,1,2\n"), (more, "0,0,0,1\n1,1,1,2\n.5,.5,.5,4\n")):
             write_text(name, "x,y,z,w\n" + rows)
         self.service.json("scene", "create", "w", "--parts", 2, "--replace")
         self.service.json("push", "w", some, "--weights", "w")
-        self.assertIn("--weights", self.service.failure("push", "w", "--insert", more)["hint"])
-        self.assertEqual(self.service.json("push", "w", "--insert", more, "--weights", "w")["inserted"], 1)
+        self.assertIn("weights", self.service.failure("push", "w", some)["message"])
+        self.assertIn("--inserted", self.service.failure("push", "w", more, "--weights", "w")["hint"])
+        self.assertEqual(self.service.json("push", "w", more, "--weights", "w", "--inserted", 1)["inserted"], 1)
         self.assertEqual(sum(self.service.json("scene", "show", "w")["loads"]), 7)
 
     def test_files_of_the_service_have_absolute_paths(self):
@@ -163,7 +164,7 @@ class Commands(Refusals, ServiceTest):
         weights, sizes = rng.integers(1, 9, 400).astype(float), [1, 3, 1, 2, 2]
         with PushClient(self.path) as client:
             client.ask("scene.create", scene="compared", parts=5, part_sizes=sizes, cut_tolerance=1)
-            client.push_step("compared", 0, Step(np.arange(400), self.points, weights))
+            client.push_block("compared", 0, Block(self.points, weights=weights))
             table = client.ask("compare", scene="compared", ghost_width=0.1)[0]
             self.assertIn("sizes for 5 parts", self.refused("invalid_argument", client.ask, "compare", scene="compared", parts=8))
             weighted = {row["method"]: row for row in table["methods"]}

@@ -82,9 +82,8 @@ def main(path, scene, file):
                 named, before = {k: told[k] for k in ("epoch", "hash")}, None
         if "send" in answer:
             client.number += 1
-            client.send(3, push | {"command": "push.begin", "n": n, "slices": 1, "order": "id", "drifted": drifted,
-                                   "cuts_known": named, "attempt": step})
-            client.send(3, push | {"command": "push.slice", "rank": 0, "count": n, "attempt": step},
+            client.send(3, push | {"command": "push.begin", "n": n, "drifted": drifted, "cuts_known": named, "attempt": step})
+            client.send(3, push | {"command": "push.slice", "count": n, "attempt": step},
                         {axis: np.ascontiguousarray(x[:, a]) for a, axis in enumerate("xyz")})
             answer, arrays = client.receive()
             if "cuts" in answer:

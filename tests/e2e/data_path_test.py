@@ -1,62 +1,29 @@
-"""Pushes by every path and in every order give the same scene; a push that breaks half-way is given up everywhere."""
-import time
-
-from protocol_client import REQUEST, Client, Refused, frame
+"""The direct path: a push that breaks half-way is given up everywhere, and the next one works."""
+from protocol_client import Client, Refused, reframed
+from push_client import Block, PushClient
 from support import *
 
 
-def mix(v):
-    mask = 2**64 - 1
-    v = (v + 0x9E3779B97F4A7C15) & mask
-    v = ((v ^ v >> 30) * 0xBF58476D1CE4E5B9) & mask
-    v = ((v ^ v >> 27) * 0x94D049BB133111EB) & mask
-    return v ^ v >> 31
-
-
-class Direct(Client):
-    """A client of the direct path, from PROTOCOL.md alone: it fetches the plan before every push."""
-
+class Direct(PushClient):
     def __init__(self, path, **kwargs):
-        super().__init__(path, **kwargs)
-        self.link_ranks()
+        super().__init__(path, "direct", **kwargs)
         assert all(address.startswith("unix:") for address in self.hello["data"])
         assert [link.hello["rank"] for link in self.links] == list(range(len(self.links)))
 
-    def plan(self, scene, n):
-        """(rows of each rank, the plan's name)."""
-        shown = self.ask("scene.show", scene=scene)[0]
-        if shown["step"] is None:
-            ranks = len(self.links)
-            rows = [np.arange(r * n // ranks, (r + 1) * n // ranks) for r in range(ranks)]
-            checksum = sum(mix(int(i) + mix((r << 40) + slot) & 2**64 - 1)
-                           for r, ids in enumerate(rows) for slot, i in enumerate(ids)) & 2**64 - 1
-            return rows, {"version": 0, "checksum": f"{checksum:016x}"}
-        answer, bulk = self.ask("plan", scene=scene)
-        ids = np.frombuffer(bulk[: 8 * n], "<i8")
-        return np.split(ids, np.cumsum(answer["counts"])[:-1]), answer["plan"]
+    def begin(self, scene, step, points, **more):
+        """Says the push, and keeps its slices, a list of frames for each rank."""
+        begin, slices = self.frames(scene, step, Block(points), each=700, **more)
+        self.slices = [[data for link, data in slices if link is of.socket] for of in self.links]
+        self.socket.sendall(begin)
 
-    def begin(self, scene, step, points, attempt=0, **more):
-        self.rows, plan = self.plan(scene, len(points))
-        self.push_id = {"scene": scene, "session": self.session, "step": step, "attempt": attempt, "plan": plan}
-        self.send({"command": "push.begin", **self.push_id, "n": len(points), "slices": 0, "order": "plan",
-                   "path": "direct", "changes": True, **more})
+    def send_slices(self):
+        for link, frames in zip(self.links, self.slices):
+            link.socket.sendall(b"".join(frames))
 
-    def slice_frames(self, of, points, each=700, **more):
-        rows, out = self.rows[of], []
-        for first in range(0, len(rows), each):
-            part = points[rows[first: first + each]]
-            arrays = [{"name": "xyz"[k], "dtype": "<f8", "shape": [len(part)]} for k in range(points.shape[1])]
-            out.append(frame(REQUEST, self.number, {"command": "push.slice", **self.push_id, "rank": of,
-                                                    "first": first, "count": len(part), "arrays": arrays, **more},
-                             part.T.astype("<f8").tobytes(), flags=first % 2))
-        return out
-
-    def push_directly(self, scene, step, points, attempt=0, **more):
-        self.begin(scene, step, points, attempt, **more)
-        for rank, link in enumerate(self.links):
-            for data in self.slice_frames(rank, points):
-                link.socket.sendall(data)
-        return self.answer()
+    def push_directly(self, scene, step, points, **more):
+        self.begin(scene, step, points, **more)
+        self.send_slices()
+        return self.finish()
 
 
 class DataPath(Refusals, ServiceTest):
@@ -71,28 +38,24 @@ class DataPath(Refusals, ServiceTest):
         shown = self.service.json("scene", "show", scene)
         history = self.service.json("history", scene)
         for report in history:
-            for name in ("seconds", "scene", "bytes", "way"):
+            for name in ("seconds", "scene", "bytes", "way", "drifted"):
                 report.pop(name)
-        kept = {name: shown[name] for name in ("hash", "counts", "error", "plan", "step", "epoch")}
+            report["skipped"] = [skip for skip in report["skipped"] if skip != "exchange"]  # by who got which rows
+        kept = {name: shown[name] for name in ("hash", "counts", "error", "step", "epoch")}
         with Client(self.path) as client:
-            parts = client.ask("assign", scene=scene)[1]
-        return kept, history, parts
+            return kept, history, client.ask("assign", scene=scene)[1]
 
-    def test_all_paths_and_orders_agree(self):
+    def test_the_library_by_every_path(self):
         with Client(self.path) as client:
-            client.ask("scene.create", scene="by-id", parts=7)
+            client.ask("scene.create", scene="by-hand", parts=7)
             for step, points in enumerate(self.walk):
-                client.push("by-id", step, points)
-        with Direct(self.path) as client:
-            client.ask("scene.create", scene="direct", parts=7)
-            for step, points in enumerate(self.walk):
-                client.push_directly("direct", step, points)
-        self.assertEqual(self.state("direct"), self.state("by-id"))
-        folder = os.path.join(self.service.dir, "walk.npy")
-        np.save(folder, self.walk)
+                client.push("by-hand", step, points)
+        file = self.save("walk.npy", self.walk)
         for path in ("shared", "direct", "gateway"):
-            self.service.ctl("replay", path + "-lib", folder, "--parts", 7, env={"RCBD_PATH": path}, check=True)
-            self.assertEqual(self.state(path + "-lib"), self.state("by-id"))
+            self.service.ctl("replay", path, file, "--parts", 7, env={"RCBD_PATH": path}, check=True)
+            self.assertEqual(self.state(path), self.state("by-hand"))
+            ways = {report["way"] for report in self.service.json("history", path)}
+            self.assertEqual(ways, {{"shared": "shared-memory", "direct": "sockets", "gateway": "endpoint"}[path]})
 
     def test_what_breaks_is_given_up_and_the_next_step_works(self):
         points = self.walk[0]
@@ -102,49 +65,42 @@ class DataPath(Refusals, ServiceTest):
         before = self.state("broken")
 
         def refused(client, code):
-            with self.assertRaises(Refused) as caught:
-                client.answer()
-            self.assertEqual(caught.exception.args[0], code, caught.exception.args)
+            said = self.refused(code, client.finish)
             self.assertEqual(self.state("broken"), before)
+            return said
 
         with Direct(self.path) as client:  # one rank's connection is cut within its slice
             client.begin("broken", 1, points)
             for rank in (0, 2):
-                client.links[rank].socket.sendall(b"".join(client.slice_frames(rank, points)))
-            client.links[1].socket.sendall(b"".join(client.slice_frames(1, points))[:9000])
+                client.links[rank].socket.sendall(b"".join(client.slices[rank]))
+            client.links[1].socket.sendall(b"".join(client.slices[1])[:9000])
             time.sleep(0.1)
             client.links[1].close()
             refused(client, "aborted")
         with Direct(self.path) as client:
             bad = points.copy()
             bad[1234, 1] = np.nan
-            with self.assertRaises(Refused) as caught:
-                client.push_directly("broken", 1, bad)
-            self.assertEqual(caught.exception.args[0], "not_finite")
-            self.assertIn("1234", caught.exception.args[1])
-            self.assertEqual(self.state("broken"), before)
-            faults = (({"plan": {"version": 9, "checksum": "0" * 16}}, "stale_plan"),
-                      ({"first": 3}, "invalid_argument"), ({"rank": 0}, "invalid_argument"),
-                      ({"arrays": []}, "protocol_error"))
-            for attempt, (change, code) in enumerate(faults, 1):
-                client.begin("broken", 1, points, attempt)
-                link = client.links[1]
-                link.socket.sendall(client.slice_frames(1, points, **change)[0])
+            client.begin("broken", 1, bad)
+            client.send_slices()
+            self.assertIn("1234", refused(client, "not_finite"))
+            for change, code in (({"first": 3}, "invalid_argument"), ({"rank": 0}, "invalid_argument"),
+                                 ({"arrays": []}, "protocol_error")):
+                client.begin("broken", 1, points)
+                client.links[1].socket.sendall(reframed(client.slices[1][0], lambda document: document.update(change)))
                 refused(client, code)
         for cut in (0, 1, 100, 9_000):  # the whole client dies
             client = Direct(self.path)
             client.begin("broken", 1, points)
             for rank, link in enumerate(client.links):
-                link.socket.sendall(b"".join(client.slice_frames(rank, points))[: cut * (rank + 1)])
+                link.socket.sendall(b"".join(client.slices[rank])[: cut * (rank + 1)])
             client.close()
         self.assertEqual(self.state("broken"), before)
         with Direct(self.path) as client:  # a deadline
             client.begin("broken", 1, points, deadline_seconds=0.3)
-            client.links[0].socket.sendall(client.slice_frames(0, points)[0])
+            client.links[0].socket.sendall(client.slices[0][0])
             refused(client, "deadline_exceeded")
-            client.push_directly("broken", 1, points + 1, attempt=2)  # the same connections go on
-            again = client.push_directly("broken", 1, points + 1, attempt=3)[0]
-            self.assertTrue(again["repeated"])
+            client.push_directly("broken", 1, points + 1)  # the same connections go on
+            self.assertTrue(client.push_directly("broken", 1, points + 1)[0]["repeated"])
         self.assertEqual(self.service.json("scene", "show", "broken")["step"], 1)
 
     def test_a_push_that_is_whole_at_its_deadline_is_committed_or_refused(self):
@@ -154,11 +110,8 @@ class DataPath(Refusals, ServiceTest):
             client.push_directly("late", 0, points)
             step = 1
             for k in range(400):
-                client.begin("late", step, points, k, deadline_seconds=seconds * (0.3 + k % 18 / 10))
-                for rank, link in enumerate(client.links):
-                    link.socket.sendall(b"".join(client.slice_frames(rank, points)))
                 try:
-                    client.answer()
+                    client.push_directly("late", step, points, deadline_seconds=seconds * (0.3 + k % 18 / 10))
                     seconds *= 0.9
                     step += 1
                 except Refused as refused:
@@ -170,34 +123,26 @@ class DataPath(Refusals, ServiceTest):
             client.ask("scene.drop", scene="late")
 
     def test_slices_may_come_before_their_push(self):
-        points = self.walk[0]
         with Direct(self.path) as client:
             client.ask("scene.create", scene="early", parts=3)
-            client.rows, plan = client.plan("early", len(points))
-            client.push_id = {"scene": "early", "session": client.session, "step": 0, "attempt": 0, "plan": plan}
-            for rank, link in enumerate(client.links):
-                link.socket.sendall(b"".join(client.slice_frames(rank, points)))
+            begin, slices = client.frames("early", 0, Block(self.walk[0]))
+            for link, data in slices:
+                link.sendall(data)
             time.sleep(0.2)
-            client.begin("early", 0, points)
-            self.assertEqual(client.answer()[0]["report"]["step"], 0)
+            client.socket.sendall(begin)
+            self.assertEqual(client.finish()[0]["report"]["step"], 0)
 
     def test_an_older_attempt_does_not_replace_a_newer_one(self):
         points = self.walk[0]
         with Direct(self.path) as client:
             client.ask("scene.create", scene="attempts", parts=3)
-            client.begin("attempts", 0, points, attempt=5)
-            newer, newer_id = client.number, client.push_id
+            client.attempts = 4
+            client.begin("attempts", 0, points)
             with Direct(self.path, session=client.session) as late:
-                with self.assertRaises(Refused) as caught:
-                    late.begin("attempts", 0, points + 1, attempt=4)
-                    late.answer()
-                self.assertEqual(caught.exception.args[0], "aborted")
-                self.assertIn("newer than 4", caught.exception.args[1])
-            client.number, client.push_id = newer, newer_id
-            for rank, link in enumerate(client.links):
-                link.socket.sendall(b"".join(client.slice_frames(rank, points)))
-            self.assertEqual(client.answer()[0]["report"]["step"], 0)
-            client.ask("scene.drop", scene="attempts")
+                late.attempts = 3
+                self.assertIn("newer than 4", self.refused("aborted", late.push_directly, "attempts", 0, points + 1))
+            client.send_slices()
+            self.assertEqual(client.finish()[0]["report"]["step"], 0)
 
     def test_refused_at_the_begin(self):
         points = self.walk[0]
@@ -205,34 +150,27 @@ class DataPath(Refusals, ServiceTest):
             holder.ask("scene.create", scene="held", parts=3)
             holder.begin("held", 0, points)
             time.sleep(0.1)
-            with self.assertRaises(Refused) as caught:
-                other.push_directly("held", 0, points)
-            self.assertEqual(caught.exception.args[0], "busy")
-            for rank, link in enumerate(holder.links):
-                link.socket.sendall(b"".join(holder.slice_frames(rank, points)))
-            self.assertEqual(holder.answer()[0]["report"]["step"], 0)
+            self.refused("busy", other.push_directly, "held", 0, points)
+            holder.send_slices()
+            self.assertEqual(holder.finish()[0]["report"]["step"], 0)
             self.assertEqual(other.push_directly("held", 1, points)[0]["report"]["step"], 1)
             # Before it is looked at, too: for a deadline that is none, and for lack of a seat.
             self.refused("invalid_argument", other.push_directly, "held", 2, points, deadline_seconds=1e9)
-            self.assertEqual(other.push_directly("held", 2, points, 1)[0]["report"]["step"], 2)
-            plan = other.plan("held", len(points))
+            self.assertEqual(other.push_directly("held", 2, points)[0]["report"]["step"], 2)
             seated = [Client(self.path) for _ in range(254)]
             with Direct(self.path) as late:
-                late.plan = lambda *_: plan  # it may not ask
                 self.assertIn("sessions are open", self.refused("busy", late.push_directly, "held", 3, points))
                 for client in seated:
                     client.close()
                 self.assertTrue(wait_for(lambda: self.service.json("status")["sessions"] < 10))
-                self.assertEqual(late.push_directly("held", 3, points, 1)[0]["report"]["step"], 3)
+                self.assertEqual(late.push_directly("held", 3, points)[0]["report"]["step"], 3)
 
     def test_over_tcp_and_by_the_gateway_alone(self):
-        file = os.path.join(self.service.dir, "tcp.npy")
-        np.save(file, self.walk[:2])
+        file = self.save("tcp.npy", self.walk[:2])
         with Service(2, tcp=f"127.0.0.1:{free_port()}") as service:
             for path in ("direct", "auto"):
                 service.ctl("replay", path, file, "--parts", 3, env={"RCBD_PATH": path}, check=True)
-            self.assertEqual(service.json("scene", "show", "auto")["plan"],
-                             service.json("scene", "show", "direct")["plan"])
+            self.assertEqual(*(service.json("scene", "show", path)["hash"] for path in ("auto", "direct")))
         os.environ["RCBD_GATEWAY_ONLY"] = "1"
         try:
             with Service(2) as service:

@@ -32,6 +32,22 @@ class Tree:
     def __init__(self, dims, parts, cuts):
         self.dims, self.parts, self.cuts = dims, parts, cuts
 
+    @staticmethod
+    def of_arrays(arrays, dims):
+        """From the arrays of cuts, whose nodes are in preorder."""
+        found = {}
+
+        def walk(node, a, b):
+            if b - a == 1:
+                return
+            m, last = a + (b - a + 1) // 2, int(arrays["id"][node])
+            found[a, b] = (arrays["axes"][node].tolist(), [*arrays["at"][node], last] if last >= 0 else None)
+            walk(node + 1, a, m)
+            walk(node + m - a, m, b)
+
+        walk(0, 0, len(arrays["id"]) + 1)
+        return Tree(dims, len(arrays["id"]) + 1, found)
+
     def assign(self, points, ids=None):
         points = np.asarray(points, dtype=float).reshape(-1, self.dims) + 0.0
         ids = np.arange(len(points)) if ids is None else np.asarray(ids)
@@ -134,8 +150,7 @@ def reports(frames, parts, ranks, tolerance=0.1, hysteresis=1.2, method="rcb"):
             report["repartitioned"] = True
             epoch += 1
         else:
-            old = part
-            part = tree.assign(points)
+            old, part = part, tree.assign(points)
             report["drifted"] = int((part != old).sum())
             before = error_of(np.bincount(part, minlength=parts), n)
             report["error_before"] = before
@@ -143,11 +158,11 @@ def reports(frames, parts, ranks, tolerance=0.1, hysteresis=1.2, method="rcb"):
                 new_tree, new_part = partition(points, parts, method, previous=tree, hysteresis=hysteresis)
                 report["repartitioned"] = True
                 report["moved"] = int((new_part != part).sum())
+                report["migrated"] = int((rank_of(new_part, parts, ranks) != rank_of(part, parts, ranks)).sum())
                 report["axes_flipped"] = sum(1 for node, (axes, _) in new_tree.cuts.items()
                                              if node in tree.cuts and tree.cuts[node][0][0] != axes[0])
                 tree, part = new_tree, new_part
                 epoch += 1
-            report["migrated"] = int((rank_of(part, parts, ranks) != rank_of(old, parts, ranks)).sum())
         counts = np.bincount(part, minlength=parts)
         report["error"] = error_of(counts, n)
         report["imbalance"] = imbalance_of(counts, n)

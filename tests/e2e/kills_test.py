@@ -14,6 +14,7 @@ import threading
 import ranks
 from outliving_client import OutlivingClient
 from protocol_client import Client, Refused
+from shared_memory_client import SharedClient
 from support import *
 
 KILLS_EACH = 4  # of one service: its supervisor waits twice as long after each quick failure
@@ -100,10 +101,12 @@ class Kills(unittest.TestCase):
     def check_history(self, reports, path, **options):
         """Against a scene that is pushed the same positions."""
         self.assertEqual([report["step"] for report in reports], list(range(len(path))))
-        with Client(self.judge.endpoint[5:]) as judge:
+        with SharedClient(self.judge.endpoint[5:]) as judge:
             judge.ask("scene.create", scene="judge", replace=True, **options)
+            rows = judge.positions(*path[0].shape)
             for step, report in enumerate(reports):
-                expected = judge.push("judge", step, path[step])[0]["report"]
+                rows[:] = path[step]
+                expected = judge.step("judge", step, rows)[0]["report"]
                 for name in ("step", "n", "parts", "epoch", "error_before", "error", "imbalance", "repartitioned",
                              "reason", "axes_flipped", "moved", "inserted", "removed", "scanned"):
                     self.assertEqual(report[name], expected[name], (step, name))

@@ -109,7 +109,6 @@ class Silence(unittest.TestCase):
             status = service.json("status")
             self.assertEqual((status["restarted"], status["scenes"][0]["step"]), (True, 0))
             with Client(service.endpoint) as again:
-                again.push("a", 0, points, refill=True)
                 self.assertEqual(again.push("a", 1, points[::-1])[0]["report"]["n"], 500)
 
     def test_down_ends_what_hangs(self):

@@ -5,7 +5,7 @@ import shutil
 import tempfile
 import threading
 
-from protocol_client import NOTICE, REPLY, Client, Refused, arrays_of
+from protocol_client import NOTICE, REPLY, Client, Refused, arrays_of, described
 from support import *
 
 
@@ -63,18 +63,20 @@ class History(unittest.TestCase):
 
     def test_a_long_history_is_kept_in_files_and_read_in_pages(self):
         with Service(2, options=("--keep-reports", 1000)) as service, Client(service.endpoint) as client:
-            client.ask("scene.create", scene="still", parts=2)
+            client.ask("scene.create", scene="still", parts=2, positions="when-needed")
             client.push("still", 0, np.random.default_rng(1).random((10, 3)))
-            begin = {"command": "push.begin", "scene": "still", "session": client.session, "attempt": 0, "n": 10,
-                     "slices": 0, "order": "plan", "moved": "none", "plan": None}
+            shown = client.ask("scene.show", scene="still")[0]
+            arrays, bulk = described({"part": [0, 1], "count": shown["counts"]}, {"part": "<i4", "count": "<u8"})
+            count = {"command": "count", "scene": "still", "session": client.session, "n": 10, "arrays": arrays,
+                     **{name: shown[name] for name in ("incarnation", "epoch", "hash")}}
 
             def steps(first, last):
                 for at in range(first, last, 32):
                     number = client.number
                     for step in range(at, min(at + 32, last)):
-                        client.send({**begin, "step": step, "base_step": step - 1})
+                        client.send({**count, "step": step}, bulk)
                     for client.number in range(number + 1, client.number + 1):
-                        client.answer()
+                        self.assertIn("report", client.answer()[0])
 
             steps(1, 20_000)
             before = memory_mib(rank_0(service))
@@ -311,7 +313,7 @@ class LongCommands(unittest.TestCase):
             self.assertEqual(refused.exception.args[0], "invalid_argument")
             before = service.json("scene", "show", "large")
             for command, arguments in (("compare", {}), ("quality", {"ghost_width": 0.05}), ("halo", {"width": 9}), ("fetch", {}),
-                                       ("rebalance", {"parts": 5}), ("plan", {})):
+                                       ("rebalance", {"parts": 5})):
                 with self.assertRaises(Refused) as refused:
                     client.ask(command, scene="large", **arguments, deadline_seconds=1e-6)
                 self.assertEqual(refused.exception.args[0], "deadline_exceeded", command)

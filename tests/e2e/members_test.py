@@ -1,8 +1,11 @@
 """Parallel solvers: M members push a scene together, wait for one another, die and return."""
 import threading
+import unittest.mock
 
-from member_client import Member, handed_over, owner
-from protocol_client import NOTICE, Client, Refused
+import judge
+from member_client import Member, owner
+from protocol_client import NOTICE, Client, Refused, arrays_of, reframed
+from push_client import WAYS, Block
 from support import *
 
 
@@ -32,9 +35,10 @@ class Members(ServiceTest):
         shown = self.control.ask("scene.show", scene=scene)[0]
         history = self.control.ask("history", scene=scene)[0]["history"]
         for report in history:
-            for name in ("seconds", "scene", "bytes", "way"):
+            for name in ("seconds", "scene", "way", "strangers"):
                 report.pop(name)
-        kept = {name: shown[name] for name in ("hash", "counts", "error", "plan", "step", "epoch", "ids")}
+            report["skipped"] = [skip for skip in report["skipped"] if skip != "exchange"]  # by who got which rows
+        kept = {name: shown[name] for name in ("hash", "counts", "error", "step", "epoch", "ids")}
         return kept, history, self.control.ask("assign", scene=scene)[1]
 
     def refused(self, client, code, *words):
@@ -52,68 +56,81 @@ class Members(ServiceTest):
     def test_the_same_scene_as_from_one_client(self):
         self.create("one")
         for step, points in enumerate(self.walk):
-            self.control.push("one", step, points)
+            self.control.push("one", step, points, ids=np.arange(600))
         for members in (1, 2, 3, 5):
             self.create("many")
             team = self.team("many", members)
             rng = np.random.default_rng(members)
-            known = np.full(len(self.walk[0]), -1)
-            for step, points in enumerate(self.walk):  # any split, in any order, a new one every time
+            known = {}
+            for step, points in enumerate(self.walk):  # any split, in any order, by any ways, new ones every time
                 order = rng.permutation(len(points))
                 shares = np.split(order, np.sort(rng.integers(0, len(points) + 1, members - 1)))
-                for (answer, arrays), ids in zip(self.push_all(team, step, shares, points), shares):
-                    self.assertEqual(answer["report"]["step"], step)
-                    self.assertTrue(np.isin(arrays["changed_id"], ids).all())
-                    known[arrays["changed_id"]] = arrays["changed_part"]
-            state = self.state("many")
-            self.assertEqual(state, self.state("one"))
-            self.assertEqual(known.tobytes(), np.frombuffer(state[2][8 * len(known):], "<i4").astype(known.dtype).tobytes())
+                for k, (one, ids) in enumerate(zip(team, shares)):
+                    deal = np.split(rng.permutation(len(ids)), np.sort(rng.integers(0, len(ids) + 1, 2)))
+                    one.start(step, ids, points, way=str(rng.choice(WAYS)), deal=deal, each=70,
+                              cuts_known=known if k != 1 else None)
+                answers = [one.finish() for one in team]
+                for k, (answer, arrays) in enumerate(answers):
+                    self.assertEqual(answer["report"], answers[0][0]["report"])
+                    self.assertEqual("cuts" in answer, k != 1 and answer["report"]["repartitioned"])
+                    self.assertEqual(arrays != {}, "cuts" in answer)
+                if "cuts" in answers[0][0]:
+                    known = {name: answers[0][0]["cuts"][name] for name in ("epoch", "hash")}
+                    parts = judge.Tree.of_arrays(answers[0][1], 3).assign(points)
+                    assigned = arrays_of(*self.control.ask("assign", scene="many"))["part"]
+                    np.testing.assert_array_equal(parts, assigned)
+            self.assertEqual(self.state("many"), self.state("one"))
             for one in team:
                 one.close()
 
-    def test_members_follow_their_parts(self):
-        parts = 7
+    def test_members_keep_their_parts(self):
+        """Who hands over what left its parts brings as strangers what has left since."""
+        parts, n = 7, len(self.walk[0])
         for members in (1, 2, 3, 5):
-            self.create("follow", parts)
-            team = self.team("follow", members, follow=True)
-            n = len(self.walk[0])
-            held = [np.arange(k * n // members, (k + 1) * n // members) for k in range(members)]
+            self.create("keep", parts)
+            team, tree, strange = self.team("keep", members), None, 0
+            held = np.array_split(np.arange(n), members)
             for step, points in enumerate(self.walk):
-                if step == 3:
-                    self.control.ask("rebalance", scene="follow", method="bands-x")
-                answers = self.push_all(team, step, held, points)
-                _, bulk = self.control.ask("assign", scene="follow")
-                of_id = owner(np.frombuffer(bulk[8 * n:], "<i4"), parts, members)
-                for ids, (_, news) in zip(held, answers):
-                    self.assertTrue((np.diff(news["changed_id"]) > 0).all())
-                    self.assertTrue(np.isin(news["changed_id"], ids).all())
-                kept = [np.flatnonzero(of_id == k) for k in range(members)]
-                if step != 3:  # what the rebalance moved is told to nobody
-                    for ids, expected in zip(handed_over(held, answers), kept):
-                        np.testing.assert_array_equal(np.sort(ids), expected)
-                held = kept
+                answers = self.push_all(team, step, held, points, cuts_known={})
+                expected = 0
+                if tree and members > 1:
+                    left = owner(tree.assign(points), parts, members)
+                    expected = sum(int((left[ids] != k).sum()) for k, ids in enumerate(held))
+                self.assertEqual(answers[0][0]["report"]["strangers"], expected if tree else 0)
+                strange += expected
+                tree = judge.Tree.of_arrays(answers[0][1], 3)
+                of_id = owner(tree.assign(points), parts, members)
+                held = [np.flatnonzero(of_id == k) for k in range(members)]
+            self.assertEqual(strange > 0, members > 1)
             for one in team:
                 one.close()
 
-    def test_own_ids_and_weights_and_empty_members(self):
-        ids = np.array([5, 900, 7, 2**62, 11])
-        points = np.random.default_rng(1).random((5, 2))
+    def test_particles_that_come_and_go_in_a_scene_of_weights_and_empty_members(self):
+        ids, come = np.array([5, 900, 7, 2**62, 11]), 6
+        points = np.random.default_rng(1).random((6, 2))
         self.control.ask("scene.create", scene="sparse", parts=2, dims=2, replace=True)
-        team = self.team("sparse", 3, follow=True)
-        for step in range(2):
-            for k, one in enumerate(team):
-                rows = [[0, 3], [], [4, 1, 2]][k]
-                one.begin(step, rows, weights=bool(rows))  # who has none need not know
-                if rows:
-                    arrays = [{"name": name, "dtype": dtype, "shape": [len(rows)]}
-                              for name, dtype in (("x", "<f8"), ("y", "<f8"), ("w", "<f8"), ("id", "<i8"))]
-                    bulk = np.ascontiguousarray(points[rows].T).tobytes() + (ids[rows] % 3 + 1.0).tobytes()
-                    one.send({"command": "push.slice", **one.push_id, "rank": 0, "count": len(rows),
-                              "arrays": arrays}, bulk + ids[rows].astype("<i8").tobytes())
-            for one in team:
-                self.assertEqual(one.finish()[0]["report"]["n"], 5)
+        team = self.team("sparse", 3)
+
+        def step(number, ids, *numbers):
+            for one, rows, (inserted, removed) in zip(team, ([0, 3], [], list(range(len(ids)))[1:3] + list(range(4, len(ids)))),
+                                                      numbers):
+                weights = ids[rows] % 3 + 1.0 if rows else None  # who has none need not know
+                begin, slices = one.frames("sparse", number, Block(points[rows], ids[rows], weights), inserted=inserted,
+                                           removed=removed)
+                one.socket.sendall(begin + b"".join(data for _, data in slices))
+            return [one.finish()[0]["report"] for one in team]
+
+        none = ((0, 0),) * 3
+        for number in range(2):
+            self.assertEqual([report["n"] for report in step(number, ids, *none)], [5] * 3)
+        report = step(2, np.append(ids, come), (0, 0), (0, 0), (1, 0))[0]  # one comes to the last member
+        self.assertEqual((report["n"], report["inserted"], report["removed"]), (6, 1, 0))
+        others = np.append(ids[:-1], (13, come))  # the first says one is gone, the last has another
+        report = step(3, others, (0, 1), (0, 0), (1, 0))[0]
+        self.assertEqual((report["n"], report["inserted"], report["removed"]), (6, 1, 1))
         shown = self.control.ask("scene.show", scene="sparse")[0]
         self.assertTrue(shown["ids"] and shown["weights"])
+        self.assertEqual(arrays_of(*self.control.ask("fetch", scene="sparse"))["id"].tolist(), sorted(others))
 
     def test_seats(self):
         self.create("seats")
@@ -126,10 +143,9 @@ class Members(ServiceTest):
                 self.assertIn(word, caught.exception.args[1])
 
         team = self.team("seats", 2)
-        self.assertEqual(team[1].opened["membership"], {"member": 1, "members": 2, "generation": 1, "follow": False})
+        self.assertEqual(team[1].opened["membership"], {"member": 1, "members": 2, "generation": 1})
         refuses("busy", "member 1", "generation 1", member=1, members=2)
         refuses("invalid_argument", "members of 2", member=1, members=3)
-        refuses("invalid_argument", "follow", member=1, members=2, follow=True)
         refuses("invalid_argument", "member", member=2, members=2)
         refuses("busy", "generation", member=1, members=2, generation=1)
         with self.assertRaises(Refused) as caught:
@@ -156,10 +172,10 @@ class Members(ServiceTest):
         halves = np.array_split(np.arange(600), 4)
         for k in (0, 3):
             team[k].start(0, halves[k], self.walk[0], deadline_seconds=1)
-        team[1].begin(0, halves[1], deadline_seconds=9)  # and this one no slice
+        team[1].begin(0, halves[1], self.walk[0], deadline_seconds=9)  # and this one no slice
         for k in (0, 1, 3):
             self.refused(team[k], "deadline_exceeded", "member 1", "member 2", "step 0")
-        self.push_all(team, 0, halves, self.walk[0], attempt=1)
+        self.push_all(team, 0, halves, self.walk[0])
         self.assertEqual(self.state("late")[0]["step"], 0)
 
     def test_a_step_that_is_another_than_that_of_the_others(self):
@@ -195,7 +211,7 @@ class Members(ServiceTest):
                     self.refused(one, "deadline_exceeded", "step 0", "it goes on")
             finally:
                 os.kill(other, signal.SIGCONT)
-            for answer, _ in self.push_all(team, 0, halves, self.walk[0], attempt=1):
+            for answer, _ in self.push_all(team, 0, halves, self.walk[0]):
                 self.assertEqual(answer["report"]["step"], 0)
             self.assertEqual(control.ask("scene.show", scene="slow")[0]["step"], 0)
             self.push_all(team, 1, halves, self.walk[1])
@@ -221,8 +237,7 @@ class Members(ServiceTest):
             for k in (0, 1):
                 team[k].start(1, halves[k], self.walk[1])
             if cut:
-                team[2].begin(1, halves[2])
-                team[2].slice(halves[2], self.walk[1], cut)
+                team[2].begin(1, halves[2], self.walk[1], cut)
             generation = team[2].opened["membership"]["generation"]
             team[2].close()
             for k in (0, 1):
@@ -231,7 +246,7 @@ class Members(ServiceTest):
             team[2] = Member(self.path, "dies", 2, 3)
             self.addCleanup(team[2].close)
             self.assertEqual(team[2].opened["membership"]["generation"], generation + 1)
-        self.push_all(team, 1, halves, self.walk[1], attempt=9)
+        self.push_all(team, 1, halves, self.walk[1])
         # Away between two steps: the others wait for the return.
         team[2].close()
         for k in (0, 1):
@@ -248,14 +263,14 @@ class Members(ServiceTest):
         team = self.team("older", 2)
         old = team[1]
         team[0].start(0, halves[0], self.walk[0])
-        old.begin(0, halves[1])
+        old.begin(0, halves[1], self.walk[0] + 5)
         new = Member(self.path, "older", 1, 2, generation=2)
         self.addCleanup(new.close)
         self.refused(team[0], "aborted", "member 1", "generation 2")
         self.refused(old, "aborted", "member 1")
-        team[0].start(0, halves[0], self.walk[0], attempt=1)
-        old.slice(halves[1], self.walk[0] + 5)  # too late: read and dropped
-        old.start(0, halves[1], self.walk[0] + 5, attempt=1)
+        team[0].start(0, halves[0], self.walk[0])
+        old.rest()  # too late: read and dropped
+        old.start(0, halves[1], self.walk[0] + 5)
         self.refused(old, "aborted", "generation")
         new.start(0, halves[1], self.walk[0])
         self.assertEqual(team[0].finish()[0]["report"]["n"], 600)
@@ -266,18 +281,15 @@ class Members(ServiceTest):
     def test_a_lost_answer_is_given_again(self):
         self.create("again")
         halves = np.array_split(np.arange(600), 2)
-        team = self.team("again", 2, follow=True)
+        team = self.team("again", 2)
         answers = self.push_all(team, 0, halves, self.walk[0])
         team[1].close()
-        back = Member(self.path, "again", 1, 2, follow=True, session=team[1].session)
+        back = Member(self.path, "again", 1, 2, session=team[1].session)
         self.addCleanup(back.close)
-        back.start(0, halves[1], self.walk[0], attempt=5)
+        back.start(0, halves[1][:9], self.walk[1], way="direct")  # whatever it brings
         answer, arrays = back.finish()
-        self.assertTrue(answer["repeated"])
-        self.assertEqual(answer["report"], answers[1][0]["report"])
-        for name, values in answers[1][1].items():
-            np.testing.assert_array_equal(arrays[name], values)
-        stranger = Member(self.path, "again", 1, 2, follow=True, generation=7)
+        self.assertEqual((answer["repeated"], answer["report"], arrays), (True, answers[1][0]["report"], {}))
+        stranger = Member(self.path, "again", 1, 2, generation=7)
         self.addCleanup(stranger.close)
         stranger.start(0, halves[1], self.walk[0])
         self.refused(stranger, "stale_step", "0")
@@ -290,10 +302,10 @@ class Members(ServiceTest):
         for one in team:
             one.close()
         wait_for(lambda: "e2e" not in self.control.ask("scene.show", scene="later")[0]["members"])
-        self.control.push("later", 1, self.walk[1])  # the members had no part in it
+        self.control.push("later", 1, self.walk[1], ids=np.arange(600))  # the members had no part in it
         back = Member(self.path, "later", 1, 2, session=team[1].session)
         self.addCleanup(back.close)
-        back.start(0, halves[1], self.walk[0], attempt=5)
+        back.start(0, halves[1], self.walk[0])
         self.refused(back, "stale_step", "step 0")
 
     def test_what_members_push_wrong(self):
@@ -307,34 +319,71 @@ class Members(ServiceTest):
             for one in team:
                 self.refused(one, code, *words)
 
-        both("invalid_argument", ("id 299", "member 0", "member 1"), ids[:300], ids[299:])
-        both("invalid_argument", ("id 5", "twice", "member 1"), ids[:5], np.append(ids[5:], 5))
+        both("duplicate_id", ("id 299", "member 0", "member 1"), ids[:300], ids[299:])
+        both("duplicate_id", ("id 5", "twice", "member 1"), ids[:5], np.append(ids[5:], 5))
         bad = self.walk[0].copy()
         bad[17, 1] = np.nan
         both("not_finite", ("17",), ids[:300], ids[300:], bad)
         self.push_all(team, 0, (ids[:300], ids[300:]), self.walk[0])
         before = self.state("wrong")
-        both("invalid_argument", ("id 300", "no member"), ids[:300], ids[301:], step=1)
-        both("invalid_argument", ("id 599", "no member"), ids[:300], ids[300:599], step=1)
+        both("not_conserved", ("599", "600"), ids[:300], ids[301:], step=1)
         more = np.concatenate([self.walk[0], self.walk[0]])
-        both("invalid_argument", ("id 700", "member 1"), ids[:300], np.append(ids[300:], 700), more, step=1)
-        team[0].begin(1, ids[:300])
+        both("not_conserved", ("601", "600"), ids[:300], np.append(ids[300:], 700), more, step=1)
+        both("not_conserved", (), ids[:300], np.append(ids[301:], 700), more, step=1)
+        both("not_conserved", (), ids[:300], np.append(ids[301:], 299), more, step=1)
+        team[0].begin(1, ids[:300], self.walk[1])
         # What it sends next must be its slice: a change of the scene would keep that waiting.
         with self.assertRaises(Refused) as caught:
             team[0].ask("rebalance", scene="wrong")
         self.assertEqual(caught.exception.args[0], "busy")
         self.control.ask("status")
-        team[1].begin(2, ids[300:])
-        self.refused(team[1], "invalid_argument", "step 2", "step 1")
-        team[1].begin(1, ids[300:], step_seconds=-1)
-        self.refused(team[1], "invalid_argument", "step_seconds")
-        team[1].begin(1, ids[300:], weights=True)
-        self.refused(team[1], "invalid_argument", "weights")
+        for step, more, words in ((2, {}, ("step 2", "step 1")), (1, {"step_seconds": -1}, ("step_seconds",)),
+                                  (1, {"weights": True}, ("weights",)), (1, {"ids": False}, ("ids",))):
+            team[1].begin(step, ids[300:], self.walk[1], **more)
+            self.refused(team[1], "invalid_argument", *words)
         self.assertEqual(self.state("wrong"), before)
-        team[0].slice(ids[:300], self.walk[1])
+        team[0].rest()
         team[1].start(1, ids[300:], self.walk[1])
         for one in team:
             self.assertEqual(one.finish()[0]["report"]["step"], 1)
+
+    def test_what_is_wrong_in_a_block_to_the_ranks_ends_the_step_for_all(self):
+        self.create("odd")
+        shares = np.array_split(np.arange(600), 4)
+        team = self.team("odd", 4, way="direct")
+        self.push_all(team, 0, shares, self.walk[0])
+        before = self.state("odd")
+
+        def refuse_all(code, *words):
+            for one in team:
+                self.refused(one, code, *words)
+            self.assertEqual(self.state("odd"), before)
+
+        for one, ids in zip(team, shares):
+            one.begin(1, ids, self.walk[1], each=20)
+        for one in team[:-1]:
+            one.rest()
+        link, data = team[-1].slices[1]
+        link.sendall(reframed(data, lambda document: document.update(first=40)))
+        refuse_all("invalid_argument", "member 3")
+        for one, ids in zip(team, shares):
+            one.begin(1, ids, self.walk[1], deadline_seconds=1 if one is team[0] else 20)
+        for one in team[:2]:
+            one.rest()
+        refuse_all("deadline_exceeded", "member 2", "member 3")
+        for one, ids in zip(team, shares):
+            one.begin(1, ids, self.walk[1])
+        for one in team[:-1]:
+            one.rest()
+        link, data = team[-1].slices[0]
+        link.sendall(data[: len(data) // 2])
+        team[-1].close()
+        for one in team[:-1]:
+            self.refused(one, "aborted", "member 3")
+        self.assertEqual(self.state("odd"), before)
+        team[-1] = Member(self.path, "odd", 3, 4)
+        self.addCleanup(team[-1].close)
+        self.push_all(team, 1, shares, self.walk[1])
 
     def test_a_rebalance_between_members_does_not_stop_them(self):
         self.create("between")
@@ -351,6 +400,55 @@ class Members(ServiceTest):
             for one in team:
                 self.assertEqual(one.finish()[0]["report"]["step"], 1)
             done.join()
+
+    def solver(self, service, processes, scene, path, steps=8):
+        command = [MPIRUN, str(processes), os.path.join(BIN, "slope_mpi"), "--points", "1500", "--interval", "0.3",
+                   "--parts", "6", "--tolerance", "0.02", "--steps", str(steps), "--scene", scene, "--json", "--check"]
+        return subprocess.Popen(command, env=dict(os.environ, RCBD_ENDPOINT=service.endpoint, RCBD_PATH=path),
+                                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def solved(self, running):
+        out, errors = running.communicate(timeout=120)
+        self.assertEqual(running.returncode, 0, out + errors)
+        return json.loads(out)
+
+    def test_the_library_by_every_path(self):
+        for processes in (3, 2, 5):
+            found = {}
+            for path, way in (("gateway", "endpoint"), ("direct", "sockets"), ("shared", "shared-memory")):
+                solved = self.solved(self.solver(self.service, processes, path, path))
+                for report in solved["reports"]:
+                    self.assertEqual((report.pop("way"), report["bytes"]), (way, 32 * 1500))
+                    report.pop("seconds"), report.pop("scene")
+                    report["skipped"] = [skip for skip in report["skipped"] if skip != "exchange"]
+                found[path] = {name: solved[name] for name in ("reports", "held", "handed_over", "repartitions")}
+                self.assertEqual((found[path], self.state(path)), (found["gateway"], self.state("gateway")))
+            self.assertGreater(found["direct"]["repartitions"], 1)
+
+    def test_the_library_while_others_change_the_cuts(self):
+        running = self.solver(self.service, 4, "shaken", "direct", steps=60)
+        rebalanced, next_step = 0, 0
+        try:
+            while running.poll() is None:
+                try:
+                    step = self.control.ask("scene.show", scene="shaken")[0]["step"]
+                    if step is not None and step >= next_step:
+                        self.control.ask("rebalance", scene="shaken", method=("bands-x", "rcb")[rebalanced % 2])
+                        rebalanced, next_step = rebalanced + 1, step + 5
+                except Refused as refused:
+                    self.assertIn(refused.args[0], ("not_found", "busy"))
+                time.sleep(0.02)
+        finally:
+            solved = self.solved(running)
+        self.assertEqual(sum(solved["held"]), 1500)
+        self.assertGreater(rebalanced, 1)
+
+    def test_the_library_and_a_service_of_the_gateway_alone(self):
+        with unittest.mock.patch.dict(os.environ, RCBD_GATEWAY_ONLY="1"), Service(2) as service:
+            self.solved(self.solver(service, 2, "slope", "auto"))
+            running = self.solver(service, 2, "slope", "direct")
+            self.assertIn("--gateway-only", running.communicate(timeout=120)[1])
+            self.assertEqual(running.returncode, 3)
 
 
 if __name__ == "__main__":

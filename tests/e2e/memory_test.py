@@ -2,7 +2,7 @@
 and questions whose answers are too large, under a limit of address space."""
 import resource
 
-from protocol_client import Client, Refused, described
+from protocol_client import Client, Refused
 from shared_memory_client import SharedClient
 from support import *
 
@@ -72,18 +72,7 @@ class Memory(Refusals, unittest.TestCase):
         self.too_large(client, "fetch", scene="big")
         self.assertEqual(client.ask("counts", scene="big")[0]["counts"], [1_750_000] * 4)
 
-
-    def edit(self, client, n, values, begin, holds):
-        """A push of few particles: those that moved, are inserted or removed, by ids."""
-        push = {"scene": "big", "session": client.session, "step": 1, "attempt": 0}
-        arrays, bulk = described(values)
-        client.send({"command": "push.begin", **push, "n": n, "slices": 1, "order": "id", "base_step": 0, **begin})
-        number = client.number
-        client.send({"command": "push.slice", **push, "count": 10, "arrays": arrays, **holds}, bulk)
-        client.number = number
-        return client.answer()
-
-    def test_questions_and_few_particles_with_next_to_no_memory_left(self):
+    def test_questions_and_a_push_with_next_to_no_memory_left(self):
         service, client = self.service(900)
         n = 4_000_000
         client.ask("scene.create", scene="big", parts=8, tolerance="inf")
@@ -96,20 +85,18 @@ class Memory(Refusals, unittest.TestCase):
             except Refused:
                 each //= 2
             others += 1
-        places = dict(zip("xyz", np.zeros((3, 10))))
         for command, more in (("quality", {}), ("quality", {"ghost_width": 0.5}), ("halo", {"width": 0.5}),
                               ("write_parts", {"directory": service.dir})):
             self.too_large(client, command, scene="big", **more)
-        edits = ({"moved": "none", "removed": 10}, {"id": np.arange(10)}, {"holds": "removed"}), (
-            {"moved": "none", "inserted": 10, "inserted_ids": True}, places | {"id": np.arange(n, n + 10)}, {"holds": "inserted"}), (
-            {"moved": "some", "counts": [10]}, places | {"id": np.arange(10)}, {"rank": 0})
-        for begin, values, holds in edits:
-            self.refused("too_large", self.edit, client, n, values, begin, holds)
+        points = np.zeros((n, 3), "<f4")
+        points[:, 0] = np.arange(n) / n
+        with self.assertRaises(Refused) as refused:
+            client.push("big", 1, points)
+        self.assertIn(refused.exception.args[0], ("too_large", "busy"))
         self.assertEqual(client.ask("error", scene="keep")[0]["step"], 0)
         for k in range(others):
             client.ask("scene.drop", scene=f"other-{k}")
-        for begin, values, holds in edits[2:]:
-            self.edit(client, n, values, begin, holds)
+        self.assertEqual(client.push("big", 1, points)[0]["report"]["n"], n)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,8 @@ import glob
 import ranks
 from member_client import Member
 from protocol_client import Client, Refused
+from push_client import WAYS, Block, PushClient
+from shared_memory_client import SharedClient
 from support import *
 
 
@@ -30,49 +32,38 @@ class Outlive(unittest.TestCase):
         wait_for(another)
 
     def test_a_member_that_has_not_heard_of_a_step_gets_its_report_from_the_next_service(self):
-        points = np.random.default_rng(3).random((500, 3))
-        more = np.random.default_rng(5).random((8, 3))
-        rng = np.random.default_rng(4)
-        held = np.split(rng.permutation(500), [200])
+        points = np.random.default_rng(3).random((508, 3))
+        held = np.split(np.random.default_rng(4).permutation(500), [200])
         with Client(self.path) as control:
             control.ask("scene.create", scene="s", parts=5)
-        team = [Member(self.path, "s", k, 2, follow=True) for k in range(2)]
+        team = [Member(self.path, "s", k, 2) for k in range(2)]
         for one, ids in zip(team, held):
             one.start(0, ids, points)
         for one in team:
             one.finish()
-        for one, ids, new in zip(team, held, np.split(more, [3])):
-            one.begin(1, ids, inserted=len(new), slices=2)
-            one.slice(ids, points)
-            one.edit("inserted", dict(zip("xyz", new.T)))
-        answers = [one.finish() for one in team]
+        now = [np.append(held[0], [500, 501, 502]), np.append(held[1], range(503, 508))]
+        for one, ids, come in zip(team, now, (3, 5)):
+            one.start(1, ids, points, inserted=come)
+        reports = [one.finish()[0]["report"] for one in team]
         for _ in range(2):  # the service may die again before all have asked
             self.kill_and_wait()
-        back = [Member(self.path, "s", k, 2, follow=True, generation=2, session=team[k].session) for k in range(2)]
+        back = [Member(self.path, "s", k, 2, generation=2, session=team[k].session) for k in range(2)]
         self.addCleanup(lambda: [one.close() for one in team + back])
         for one in back:
             self.assertEqual((one.opened["step"], one.opened["filled"]), (1, False))
-        # Member 0 has its answer and goes on: it brings its particles, in a scene where others would push.
-        whole = np.concatenate([points, more])
-        now = [np.append(held[0], [500, 501, 502]), np.append(held[1], range(503, 508))]
-        back[0].start(1, now[0], whole, attempt=3, refill=True)
-        back[1].begin(1, [], attempt=4, moved="none")
+        # Member 0 has its answer and goes on; the other one asks for it before it does so.
+        back[0].start(2, now[0], points * [1, 1, 0.5])
+        back[1].attempts = 3
+        back[1].start(1, [], points)
         again, arrays = back[1].finish()
-        self.assertEqual((again["repeated"], again["report"], arrays), (True, answers[1][0]["report"], {}))
-        self.assertEqual(again["first_id"], answers[1][1]["inserted_id"][0])
-        back[1].start(2, now[1], whole, attempt=5)
-        with self.assertRaises(Refused) as refused:
-            back[1].finish()
-        self.assertIn("the others push step 1 (refill)", refused.exception.args[1])
-        back[1].start(1, now[1], whole, attempt=6, refill=True)
+        self.assertEqual((again["repeated"], again["report"], arrays), (True, reports[1], {}))
+        back[1].start(2, now[1][1:], points)
         for one in back:
-            self.assertTrue(one.finish()[0]["refilled"])
-        back[0].start(1, now[0], whole, attempt=7, refill=True)  # there is nothing to bring any more
-        with self.assertRaises(Refused) as refused:
-            back[0].finish()
-        self.assertEqual(refused.exception.args[0], "stale_step")
-        for one, ids in zip(back, now):
-            one.start(2, ids, whole * [1, 1, 0.5], attempt=8)
+            with self.assertRaises(Refused) as refused:
+                one.finish()
+            self.assertEqual(refused.exception.args[0], "not_conserved")
+        for one, ids, way in zip(back, now, ("shared", "direct")):
+            one.start(2, ids, points * [1, 1, 0.5], way=way)
         reports = [one.finish()[0]["report"] for one in back]
         self.assertEqual(reports[0], reports[1])
         self.assertEqual((reports[0]["step"], reports[0]["n"]), (2, 508))
@@ -85,36 +76,34 @@ class Outlive(unittest.TestCase):
             stranger.push("s", 0, points)
         self.assertEqual(refused.exception.args[0], "busy")
 
-    def test_what_a_refill_must_be(self):
+    def test_the_next_step_after_a_start_is_judged_by_the_cuts_in_force(self):
         points = np.random.default_rng(3).random((80, 3))
         with Client(self.path) as client:
             client.ask("scene.create", scene="r", parts=4)
             first = client.push("r", 3, points)[0]["report"]
-            with self.assertRaises(Refused) as refused:
-                client.push("r", 3, points, refill=True)
-            self.assertEqual(refused.exception.args[0], "stale_step")
             session, hash_before = client.session, client.ask("scene.show", scene="r")[0]["hash"]
-        self.kill_and_wait()
-        with Client(self.path, session=session) as client:
-            for code, step, some, more in (("stale_step", 2, points, {}), ("stale_step", 4, points, {}),
-                                           ("invalid_argument", 3, points[:79], {}),
-                                           ("invalid_argument", 3, points, {"moved": "none", "slices": 0})):
+        for step, way in enumerate((*WAYS, "held"), 4):
+            self.kill_and_wait()
+            with PushClient(self.path, session=session) as client, SharedClient(self.path, session=session) as held:
+                for command in ("fetch", "assign", "rebalance"):
+                    with self.assertRaises(Refused) as refused:
+                        client.ask(command, scene="r")
+                    self.assertRegex(refused.exception.args[1], "the ranks hold (no positions|the positions of no step)")
                 with self.assertRaises(Refused) as refused:
-                    client.push("r", step, some, refill=True, **more)
-                self.assertEqual(refused.exception.args[0], code, refused.exception.args)
-            with self.assertRaises(Refused) as refused:
-                client.push("r", 4, points)
-            self.assertEqual(refused.exception.args[0], "base_lost")
-            for command in ("fetch", "assign", "rebalance"):
-                with self.assertRaises(Refused) as refused:
-                    client.ask(command, scene="r")
-                self.assertRegex(refused.exception.args[1], "the ranks hold (no positions|the positions of no step)")
-            self.assertEqual(client.push("r", 3, points + 9)[0]["report"], first)  # its answer, whatever it brings
-            client.push("r", 3, points + 1, refill=True, attempt=5)
-            report = client.push("r", 4, points + 1, attempt=6)[0]["report"]
-            shown = client.ask("scene.show", scene="r")[0]
-        self.assertEqual((report["n"], report["drifted"], report["epoch"]), (80, None, first["epoch"] + 1))
-        self.assertNotEqual(shown["hash"], hash_before)
+                    client.push("r", step, points[:79])
+                self.assertEqual(refused.exception.args[0], "not_conserved")
+                self.assertTrue(client.push("r", step - 1, points + 9)[0]["repeated"])  # whatever it brings
+                if way == "held":
+                    rows = held.positions(80)
+                    rows[:] = points
+                    report = held.step("r", step, rows)[0]["report"]
+                else:
+                    client.attempts = 9
+                    report = client.push_block("r", step, Block(points), way=way)[0]["report"]
+                self.assertEqual((report["n"], report["drifted"], report["epoch"], report["error_before"]),
+                                 (80, None, first["epoch"], first["error"]))
+                self.assertEqual(client.ask("scene.show", scene="r")[0]["hash"], hash_before)
+                self.assertEqual(client.ask("fetch", scene="r")[0]["step"], step)
 
     def solver(self, *command):
         return subprocess.Popen([*map(str, command), "--endpoint", self.service.endpoint], stdin=subprocess.DEVNULL,

@@ -20,16 +20,6 @@ class OutlivingClient:
     def connect(self):
         self.link = Client(self.address, session=self.session)
 
-    def fill(self, number, points):
-        """Brings the particles again to a service that was started again, unless it has the step and will say so."""
-        scene = self.link.ask("scene.open", scene=self.scene)[0]
-        if not scene["filled"] and scene["step"] not in (None, number):
-            self.push(scene["step"], points, refill=True)
-
-    def push(self, step, points, **more):
-        self.attempts += 1
-        return self.link.push(self.scene, step, points, attempt=self.attempts, **more)[0]
-
     def step(self, number, points, deadline=60):
         """The report of the step, which is committed once however often the service is lost meanwhile."""
         end, pause = time.monotonic() + deadline, 0
@@ -37,8 +27,8 @@ class OutlivingClient:
             try:
                 if self.link is None:
                     self.connect()
-                    self.fill(number, points)
-                return self.push(number, points)["report"]
+                self.attempts += 1
+                return self.link.push(self.scene, number, points, attempt=self.attempts)[0]["report"]
             except (OSError, EOFError, Refused) as lost:
                 if time.monotonic() > end or (isinstance(lost, Refused) and lost.args[0] not in TRY_AGAIN):
                     raise

@@ -128,12 +128,11 @@ class Overload(ServiceTest):
             n = limits["bulk_bytes"] // 24 - 1
             rude.ask("scene.create", scene="announced", parts=2, replace=True)
             begin = {"command": "push.begin", "scene": "announced", "session": rude.session, "step": 0, "attempt": 1, "n": n,
-                     "slices": 1, "order": "id", "deadline_seconds": 3600}
+                     "deadline_seconds": 3600}
             rude.send(begin)
             for step in range(1, 4):
                 polite.push("two", step, self.points)
-            rude.send({**begin, "attempt": 2, "path": "direct", "order": "plan", "slices": 0,
-                       "plan": {"version": 0, "checksum": "0" * 16}})
+            rude.send({**begin, "attempt": 2, "path": "direct", "counts": [n, 0]})
             for step in range(4, 7):
                 polite.push("two", step, self.points)
 

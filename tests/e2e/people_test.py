@@ -243,7 +243,8 @@ class People(ServiceTest):
         write_text(file, "x,y,z,w\n0,0,0,1\n1,0,0,2\n2,0,0,3\n3,0,0,4\n")
         self.service.json("scene", "create", "weighted", "--parts", 2)
         self.service.json("push", "weighted", file, "--weights", "w")
-        self.service.json("push", "weighted", "--remove", "0,1,2,3")
+        with Client(self.path) as client:
+            client.ask("push.begin", scene="weighted", step=1, n=0, removed=4)
         folder = os.path.join(self.dir, "nobody")
         told = self.service.json("export", "weighted", folder, "--format", "csv,npy")
         self.assertEqual(sorted(os.path.basename(file) for file in told["files"]), sorted(os.listdir(folder)))

@@ -41,7 +41,7 @@ def reframed(data, change):
 
 def described(columns, dtypes={}):
     """(the `arrays` of a message, their bulk); positions are <f8 unless said otherwise, `id` is <i8."""
-    default = {"id": "<i8", "slot": "<u8"}
+    default = {"id": "<i8"}
     arrays, bulk = [], []
     for name, column in columns.items():
         dtype = dtypes.get(name) or default.get(name, "<f8")
@@ -55,7 +55,7 @@ def arrays_of(document, bulk):
     arrays, at = {}, 0
     for spec in document.get("arrays", ()):
         size = int(np.prod(spec["shape"])) * np.dtype(spec["dtype"]).itemsize
-        arrays[spec["name"]] = np.frombuffer(bulk[at: at + size], spec["dtype"])
+        arrays[spec["name"]] = np.frombuffer(bulk[at: at + size], spec["dtype"]).reshape(spec["shape"])
         at += size
     assert at == len(bulk), (document.get("arrays"), len(bulk))
     return arrays
@@ -184,26 +184,28 @@ class Client:
         return self.answer()
 
     def push_frames(self, scene, step, columns, n, attempt=0):
-        """The two frames of a push in order `id`: (begin, slice)."""
+        """The two frames of a push by the gateway: (begin, slice, the bulk of that)."""
         push = {"scene": scene, "session": self.session, "step": step, "attempt": attempt}
-        begin = {"command": "push.begin", **push, "n": n, "slices": 1, "order": "id", "changes": True}
-        arrays = [{"name": name, "dtype": "<f8", "shape": [n]} for name in columns]
-        part = {"command": "push.slice", **push, "rank": 0, "count": n, "arrays": arrays}
-        return begin, part, b"".join(column.astype("<f8").tobytes() for column in columns.values())
+        begin = {"command": "push.begin", **push, "n": n, "ids": "id" in columns}
+        arrays, bulk = described(columns)
+        return begin, {"command": "push.slice", **push, "count": n, "arrays": arrays}, bulk
 
-    def push(self, scene, step, points, attempt=0, flags=0, **more):
-        columns = {name: points[:, k] for k, name in enumerate("xyz"[: points.shape[1]])}
+    def push(self, scene, step, points, attempt=0, flags=0, ids=None, **more):
+        columns = dict(zip("xyz", points.T)) | ({} if ids is None else {"id": ids})
         begin, part, bulk = self.push_frames(scene, step, columns, len(points), attempt)
         self.send({**begin, **more})
         number = self.number
-        self.send(part, bulk, flags)
+        if len(points):
+            self.send(part, bulk, flags)
         self.number = number
-        answer = self.answer()
-        self.number = number + 1
-        return answer
+        try:
+            return self.answer()
+        finally:
+            self.number = number + 1
 
-    def link_ranks(self, **options):
+    def link_ranks(self):
         """A connection to each rank, for as long as this one lasts."""
+        options = {"timeout": self.socket.gettimeout(), "token": self.token}
         self.links = [Client(place, session=self.session, listener=f"rank {rank}", **options)
                       for rank, place in enumerate(self.hello["data"])]
 

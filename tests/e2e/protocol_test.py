@@ -3,7 +3,7 @@ import struct
 import time
 
 import judge
-from protocol_client import GOODBYE, REQUEST, Client, Refused, frame
+from protocol_client import GOODBYE, REQUEST, Client, Refused, arrays_of, frame
 from support import *
 
 
@@ -24,20 +24,18 @@ class Protocol(Refusals, ServiceTest):
             self.assertEqual(client.welcome["protocol"], 1)
             self.assertEqual(client.hello["ranks"], 3)
             client.ask("scene.create", scene="p", parts=5)
+            known = {}
             for step, points in enumerate(walk):
-                answer, bulk = client.push("p", step, points, flags=step % 2)
+                answer, bulk = client.push("p", step, points, flags=step % 2, cuts_known=known)
                 self.assertEqual(answer["previous_step"], step - 1 if step else None)
-                for field in ("error", "error_before", "moved", "drifted", "migrated", "epoch", "repartitioned"):
+                for field in ("error", "error_before", "moved", "migrated", "epoch", "repartitioned"):
                     self.assertEqual(answer["report"][field], expected[step][field], (step, field))
-                count = answer["arrays"][0]["shape"][0]
-                ids = np.frombuffer(bulk[: 8 * count], "<i8")
-                self.assertTrue((np.diff(ids) > 0).all())
-                if step == 0:
-                    self.assertEqual(count, 200)
-            answer, bulk = client.ask("assign", scene="p")
-            part = np.frombuffer(bulk[8 * 200:], "<i4")
-            tree, first = judge.partition(walk[0], 5)
-            self.assertEqual(len(part), 200)
+                self.assertEqual(answer["report"]["drifted"], None if step else 0)
+                self.assertEqual("cuts" in answer, answer["report"]["repartitioned"])
+                if "cuts" in answer:
+                    known, cuts = {k: answer["cuts"][k] for k in ("epoch", "hash")}, arrays_of(answer, bulk)
+            part = arrays_of(*client.ask("assign", scene="p"))["part"]
+            np.testing.assert_array_equal(part, judge.Tree.of_arrays(cuts, 3).assign(walk[-1]))
 
     def test_a_checksum_of_no_arrays(self):
         with self.client() as client:
@@ -159,11 +157,12 @@ class Protocol(Refusals, ServiceTest):
         attempt({"step": -1}, {})
         attempt({"scene": "nobody"}, {})
         attempt({"weights": True}, {})
-        attempt({"order": "chaos"}, {})
-        attempt({"order": "plan", "plan": {"version": 77, "checksum": "0" * 16}}, {})
+        attempt({"path": "chaos"}, {})
+        attempt({"dtype": "<f4"}, {})
+        attempt({"ids": True}, {})
+        attempt({"counts": [40, 0, 0]}, {})
         attempt({}, {"arrays": [{"name": "x", "dtype": "<f8", "shape": [120]}]})
         attempt({}, {"arrays": [{"name": n, "dtype": "<f8", "shape": [40]} for n in "xyy"]})
-        attempt({}, {"rank": 7})
         attempt({}, {"count": 39})
         self.assertEqual(self.service.json("scene", "show", "lies"), before)
         with self.client() as client:

@@ -53,7 +53,7 @@ class Reports(ServiceTest):
         self.assertEqual(list(rows["step"]), list(range(201)))
         fields = {field for report in self.runs["0.1"] for field in report} - {"seconds"}
         fields |= {"seconds_" + name for name in self.runs["0.1"][0]["seconds"]}
-        self.assertEqual(set(rows.dtype.names), fields | {"first_id", "weights_as_zero"})
+        self.assertEqual(set(rows.dtype.names), fields | {"weights_as_zero"})
         np.testing.assert_array_equal(rows["scanned"], [1500] * 201)
         np.testing.assert_array_equal(rows["error"], [report["error"] for report in self.runs["0.1"]])
 

@@ -17,11 +17,8 @@ def memfd(size, seals=F_SEAL_SHRINK | F_SEAL_GROW):
     return descriptor
 
 
-class SharedClient(Client):
-    def __init__(self, address, **kwargs):
-        super().__init__(address, **kwargs)
-        self.link_ranks()
-        self.attempts, self.memories = 0, 0
+class Sharer(Client):
+    attempts = memories = 0
 
     def share(self, descriptor, size, number=1, descriptors=None):
         """Shares a memfd with every rank."""
@@ -32,15 +29,25 @@ class SharedClient(Client):
         for link in self.links:
             link.answer()
 
-    def positions(self, n, dims=3, dtype="<f8"):
-        """An array (n, dims) that the ranks read."""
-        size = max(1, n) * dims * np.dtype(dtype).itemsize
+    def memory(self, size):
+        """So many bytes that the ranks read."""
         descriptor = memfd(size)
         self.memories += 1
         self.share(descriptor, size, self.memories)
-        array = np.frombuffer(mmap.mmap(descriptor, size), dtype, n * dims).reshape(n, dims)
+        memory = mmap.mmap(descriptor, size)
         os.close(descriptor)
-        return array
+        return memory
+
+
+class SharedClient(Sharer):
+    def __init__(self, address, **kwargs):
+        super().__init__(address, **kwargs)
+        self.link_ranks()
+
+    def positions(self, n, dims=3, dtype="<f8"):
+        """An array (n, dims) that the ranks read."""
+        memory = self.memory(max(1, n) * dims * np.dtype(dtype).itemsize)
+        return np.frombuffer(memory, dtype, n * dims).reshape(n, dims)
 
     def begin(self, scene, step, array, arrays=None, **more):
         """push.begin of the last array of positions, with its request number."""
@@ -52,8 +59,7 @@ class SharedClient(Client):
         self.number += 1
         return frame(REQUEST, self.number, {
             "command": "push.begin", "scene": scene, "session": self.session, "step": step, "attempt": self.attempts,
-            "n": n, "slices": 0, "order": "id", "path": "shared", "dtype": array.dtype.str,
-            "memory": memory} | more)
+            "n": n, "path": "shared", "dtype": array.dtype.str, "memory": memory} | more)
 
     def step(self, scene, step, array, arrays=None, **more):
         self.write(self.begin(scene, step, array, arrays, **more))

@@ -11,13 +11,13 @@ import subprocess
 import tempfile
 import threading
 
-from protocol_client import REQUEST, Client, Refused, arrays_of, described, frame
-from push_client import PushClient, Step
+from protocol_client import REQUEST, Client, Refused, arrays_of, frame
+from push_client import Block, PushClient
 from shared_memory_client import F_SEAL_GROW, F_SEAL_SHRINK, SharedClient, memfd
 from support import *
 
 OPTIONS = argparse.Namespace(steps=1500, kills=40)
-DIFFERING = ("seconds", "scene", "bytes", "way")
+DIFFERING = ("seconds", "scene", "way")
 VICTIM = """
 import sys, time
 sys.path.insert(0, sys.argv[2])
@@ -78,180 +78,116 @@ class SharedMemory(Refusals, ServiceTest):
             time.sleep(0.01)
         self.assertEqual(self.mappings(), wanted)
 
-    def test_all_ways_agree(self):
+    def test_all_layouts_agree(self):
         with SharedClient(self.path) as client:
             for name in ("rows", "axes", "single", "by-id", "single-by-id"):
                 client.ask("scene.create", scene=name, parts=7)
             for step, points in enumerate(self.walk):
-                expected = client.push("by-id", step, points)[0]
                 rows = client.positions(len(points))
                 rows[:] = points
                 axes_of_points = rows.reshape(-1)
-                given = client.step("rows", step, rows)[0]
-                self.assertEqual(given["report"]["way"], "shared-memory")
-                self.assertEqual(self.report(given["report"]), self.report(expected["report"]))
-                self.assertEqual(given["plan"], expected["plan"])
+                given = client.step("rows", step, rows)[0]["report"]
+                self.assertEqual(given["way"], "shared-memory")
+                # The ranks find what has drifted by what they hold; who pushes by the gateway must say it.
+                expected = client.push("by-id", step, points, drifted=given["drifted"])[0]["report"]
+                self.assertEqual(self.report(given), self.report(expected))
                 axes_of_points[:] = np.ascontiguousarray(points.T).reshape(-1)
                 where = [{"name": "xyz"[a], "offset": a * 8 * len(points), "stride": 8} for a in range(3)]
-                given = client.step("axes", step, rows, where)[0]
-                self.assertEqual(self.report(given["report"]), self.report(expected["report"]))
+                self.assertEqual(self.report(client.step("axes", step, rows, where)[0]["report"]), self.report(expected))
                 single = client.positions(len(points), dtype="<f4")
                 single[:] = points
-                given = client.step("single", step, single)[0]
-                expected = client.push("single-by-id", step, single.astype("<f8"))[0]
-                for report in (given["report"], expected["report"]):
-                    report["skipped"] = [skip for skip in report["skipped"] if skip != "double precision"]
-                self.assertEqual(self.report(given["report"]), self.report(expected["report"]))
+                given = client.step("single", step, single)[0]["report"]
+                self.assertIn("double precision", given["skipped"])
+                self.assertEqual(given["bytes"], 12 * len(points))
+                client.push("single-by-id", step, single.astype("<f8"))
         self.assertEqual(self.assign("rows"), self.assign("by-id"))
         self.assertEqual(self.assign("axes"), self.assign("by-id"))
         self.assertEqual(self.assign("single"), self.assign("single-by-id"))
 
-    def test_weights_ids_insertions_and_removals(self):
+    def test_weights_and_ids(self):
         points, n = self.walk[0], len(self.walk[0])
         weight = np.random.default_rng(1).random(n)
         with SharedClient(self.path) as client, PushClient(self.path) as judge:
-            for name in ("weighted", "weighted-by-id", "own", "edited", "edited-by-id"):
+            for name in ("weighted", "weighted-by-id", "own"):
                 client.ask("scene.create", scene=name, parts=5)
             both = client.positions(n, 5)  # rows of x, y, z, weight, and room for an id
             both[:, :3], both[:, 3] = points, weight
             both[:, 4].view("<i8")[:] = np.arange(n)[::-1] * 3
             where = [{"name": name, "offset": 8 * k, "stride": 40} for k, name in enumerate(("x", "y", "z", "w"))]
-            for step in range(3):
-                both[:, :3] = self.walk[step]
-                given = client.step("weighted", step, both[:, :3], where, weights=True)[0]
-                expected = judge.push_step("weighted-by-id", step, Step(np.arange(n), self.walk[step], weights=weight))[0]
-                self.assertEqual(self.report(given["report"]), self.report(expected["report"]))
+            for step, points in enumerate(self.walk):
+                both[:, :3], told = points, step % 2 == 0  # at other steps the particles keep their weights
+                if told:
+                    both[:, 3] = weight = weight[::-1]
+                given = client.step("weighted", step, both[:, :3], where[:4 if told else 3], weights=told)[0]["report"]
+                expected = judge.push_block("weighted-by-id", step, Block(points, weights=weight),
+                                            drifted=given["drifted"])[0]["report"]
+                for report in (given, expected):
+                    self.assertEqual(report.pop("bytes"), n * (32 if told or report is expected else 24))
+                    report["skipped"] = [skip for skip in report["skipped"] if skip != "weights"]
+                self.assertEqual(self.report(given), self.report(expected))
+            self.assertEqual(self.assign("weighted"), self.assign("weighted-by-id"))
             own = [*where[:3], {"name": "id", "offset": 32, "stride": 40}]
             client.step("own", 0, both[:, :3], own, ids=True)
             answer, bulk = client.ask("fetch", scene="own")
             self.assertEqual(arrays_of(answer, bulk)["id"].tolist(), (np.arange(n) * 3).tolist())
-            self.refused("unsupported", client.step, "own", 1, both[:, :3], where[:3])
+            self.refused("invalid_argument", client.step, "own", 1, both[:, :3], where[:3])
+            for more in ({"inserted": 1}, {"removed": 1}, {"ids": True}):
+                arrays = where[:3] + (own[3:] if "ids" in more else [])
+                self.assertIn(self.refused_code(client.step, "weighted", 9, both[:, :3], arrays, **more),
+                              ("unsupported", "invalid_argument"))
 
-            rows = client.positions(n)
-            rows[:] = points
-            client.step("edited", 0, rows)
-            more = self.walk[3][:7]
-            arrays, bulk = described({"x": more[:, 0], "y": more[:, 1], "z": more[:, 2]})
-            begin = client.begin("edited", 1, rows, inserted=7, slices=1)
-            head = {"scene": "edited", "session": client.session, "step": 1, "attempt": client.attempts}
-            client.write(begin + frame(REQUEST, client.number, head | {
-                "command": "push.slice", "holds": "inserted", "count": 7, "arrays": arrays}, bulk))
-            self.assertEqual(client.answer()[0]["report"]["n"], n + 7)
-            rows = client.positions(n + 7)
-            rows[:] = np.concatenate([self.walk[1], more])
-            self.assertEqual(client.step("edited", 2, rows)[0]["report"]["n"], n + 7)
-            client.push("edited-by-id", 0, rows)
+    def refused_code(self, call, *args, **kwargs):
+        with self.assertRaises(Refused) as caught:
+            call(*args, **kwargs)
+        return caught.exception.args[0]
 
-    def test_rows_of_own_ids_are_listed_by_slot(self):
+    def test_a_list_of_rows_and_ranks_that_get_slices(self):
         points, n = self.walk[0], len(self.walk[0])
-        ids = np.random.default_rng(2).permutation(n) * 7 + 1  # by row
-        with SharedClient(self.path) as client:
-            client.ask("scene.create", scene="listed", parts=5)
-            columns = client.positions(n, 5)  # of each row x, y, z, its id, and an entry of the list of rows
-            columns[:, :3] = points
-            columns[:, 3].view("<i8")[:] = ids
-            axes = [{"name": name, "offset": 8 * k, "stride": 40} for k, name in enumerate(("x", "y", "z"))]
-            client.step("listed", 0, columns[:, :3], [*axes, {"name": "id", "offset": 24, "stride": 40}], ids=True)
-            listed = [*axes, {"name": "row", "offset": 32, "stride": 40}]
-
-            def plan():
-                answer, bulk = client.ask("plan", scene="listed")
-                row_of = {i: row for row, i in enumerate(ids.tolist())}
-                columns[:, 4].view("<i8")[:] = [row_of[i] for i in arrays_of(answer, bulk)["id"].tolist()]
-                return {"order": "plan", "plan": answer["plan"], "counts": answer["counts"]}
-
-            by_slot = plan()
-            for step in range(1, 5):
-                columns[:, :3] = self.walk[step]
-                answer = client.step("listed", step, columns[:, :3], listed, **by_slot)[0]
-                self.assertEqual(answer["report"]["way"], "shared-memory")
-                held = arrays_of(*client.ask("fetch", scene="listed"))
-                np.testing.assert_array_equal(np.stack([held[a] for a in "xyz"], 1), self.walk[step][np.argsort(ids)])
-                if answer["plan"] != by_slot["plan"]:
-                    self.refused("stale_plan", client.step, "listed", 9, columns[:, :3], listed, **by_slot)
-                by_slot = plan()
-            step = client.ask("scene.show", scene="listed")[0]["step"]
-            again = client.step("listed", step, columns[:, :3], axes, order="plan", plan=by_slot["plan"])[0]
-            self.assertTrue(again["repeated"])
-            before = client.ask("scene.show", scene="listed")[0]
-            counts = by_slot["counts"]
-            wrong = (("invalid_argument", {"counts": counts[1:]}), ("invalid_argument", {"counts": []}),
-                     ("stale_plan", {"counts": [counts[0] - 1, counts[1] + 1, *counts[2:]]}),
-                     ("stale_plan", {"counts": [n] * len(counts)}),
-                     ("stale_plan", {"plan": {"version": 77, "checksum": "0" * 16}}))
-            for code, more in wrong:
-                self.refused(code, client.step, "listed", 9, columns[:, :3], listed, **(by_slot | more))
-            for offset in (33, 32 + 40 * 3, 2**60):
-                far = [*axes, {"name": "row", "offset": offset, "stride": 40}]
-                self.refused("invalid_argument", client.step, "listed", 9, columns[:, :3], far, **by_slot)
-            for row in (n, -1, 2**62):
-                right = columns[n // 2, 4]
-                columns[n // 2: n // 2 + 1, 4].view("<i8")[:] = row
-                self.assertIn("row", self.refused("invalid_argument", client.step, "listed", 9, columns[:, :3], listed, **by_slot))
-                columns[n // 2, 4] = right
-            self.assertEqual(client.ask("scene.show", scene="listed")[0], before)
-            client.step("listed", 9, columns[:, :3], listed, **by_slot)
-
-    def test_some_ranks_read_memory_and_others_get_slices(self):
-        n = len(self.walk[0])
-        with SharedClient(self.path) as client, Client(self.path) as judge:
-            for name in ("mixed", "mixed-by-id"):
+        ids, rng = np.random.default_rng(2).permutation(n) * 7 + 1, np.random.default_rng(3)
+        with PushClient(self.path, "shared") as client, PushClient(self.path) as judge:
+            for name in ("listed", "listed-by-hand"):
                 client.ask("scene.create", scene=name, parts=7)
-            columns = client.positions(n, 4)  # of each row x, y, z, and an entry of the list of rows
-            listed = [{"name": name, "offset": 8 * k, "stride": 32} for k, name in enumerate(("x", "y", "z", "row"))]
-            columns[:, :3] = self.walk[0]
-            client.step("mixed", 0, columns[:, :3], listed[:3])
-            judge.push("mixed-by-id", 0, self.walk[0])
-
-            def plan():
-                answer, bulk = client.ask("plan", scene="mixed")
-                columns[:, 3].view("<i8")[:] = ids = arrays_of(answer, bulk)["id"]
-                return ({"order": "plan", "plan": answer["plan"], "counts": answer["counts"]},
-                        np.split(ids.copy(), np.cumsum(answer["counts"])[:-1]))
-
-            def send(step, points, by_slot, rows, sockets, slices_for=None):
-                columns[:, :3] = points
-                for rank in range(self.ranks):  # those that get slices don't read the memory
-                    if isinstance(sockets, list) and rank in sockets:
-                        columns[rows[rank], :3] = np.nan
-                begin = client.begin("mixed", step, columns[:, :3], listed, **by_slot, sockets=sockets)
-                frames = []
-                for rank in sockets if slices_for is None else slices_for:
-                    arrays, bulk = described({"xyz"[a]: points[rows[rank], a] for a in range(3)})
-                    frames.append((rank, frame(REQUEST, client.number, {
-                        "command": "push.slice", "scene": "mixed", "session": client.session, "step": step, "rank": rank,
-                        "attempt": client.attempts, "plan": by_slot["plan"], "count": len(rows[rank]), "arrays": arrays}, bulk)))
+            for step, sockets in enumerate(((), (1,), (0, 2), (0, 1, 2), ())):
+                block = Block(self.walk[step], ids)
+                deal = np.split(rng.permutation(n), np.sort(rng.integers(0, n + 1, 2)))
+                begin, slices = client.frames("listed", step, block, deal=deal, by_socket=sockets, each=400)
+                for rank in sockets:  # those that get slices don't read the memory
+                    np.frombuffer(client.area, "<f8", n)[deal[rank]] = np.nan
                 client.write(begin)
-                for rank, slice_frame in frames:
-                    client.links[rank].write(slice_frame)
-                return client.answer()[0]
-
-            by_slot, rows = plan()
-            for step, sockets in enumerate(([1], [0, 2], [0, 1, 2], []), start=1):
-                points = self.walk[step]
-                given = send(step, points, by_slot, rows, sockets)["report"]
-                expected = judge.push("mixed-by-id", step, points)[0]["report"]
+                for link, data in slices:
+                    link.sendall(data)
+                given, expected = client.finish()[0]["report"], judge.push_block("listed-by-hand", step, block)[0]["report"]
                 self.assertEqual(given["way"], "shared-memory")
                 self.assertEqual(self.report(given), self.report(expected))
-                self.assertEqual(self.assign("mixed"), self.assign("mixed-by-id"))
-                by_slot, rows = plan()
-            before = client.ask("scene.show", scene="mixed")[0]
-            for wrong in ([3], [-1], [1, 1], [1, 0], "1", 1, [1.5], [None], [0] * 4):
-                self.assertIn("sockets", self.refused("invalid_argument", send, 5, points, by_slot, rows, wrong, []))
-            self.assertIn("sockets", self.refused("invalid_argument", client.step, "mixed", 5, columns[:, :3], listed[:3], sockets=[1]))
-            # A slice that another rank reads from memory is dropped; one that doesn't come is missed at the deadline.
-            by_slot["deadline_seconds"] = 1
-            self.refused("deadline_exceeded", send, 5, points, by_slot, rows, [1, 2], [0, 1])
-            self.assertEqual(client.ask("scene.show", scene="mixed")[0], before)
-            by_slot["deadline_seconds"] = 60
-            send(6, points, by_slot, rows, [2])
-            # Ranks whose slices would come have no particles.
-            client.ask("scene.create", scene="mixed", parts=1, replace=True)
-            columns[:, :3] = points
-            client.step("mixed", 0, columns[:, :3], listed[:3])
-            by_slot, rows = plan()
-            self.assertEqual(by_slot["counts"], [0, 0, n])
-            send(1, points, by_slot, rows, [0, 1], [])
+                self.assertEqual(self.assign("listed"), self.assign("listed-by-hand"))
+            before = client.ask("scene.show", scene="listed")[0]
+            counts = [1000] * 3
+            for more in ({"counts": counts[1:]}, {"counts": [999, 1000, 1000]}, {"counts": [n] * 3},
+                         {"sockets": [3]}, {"sockets": [-1]}, {"sockets": [1, 1]}, {"sockets": [1, 0]}, {"sockets": "1"},
+                         {"sockets": 1}, {"sockets": [1.5]}, {"sockets": [None]}, {"sockets": [0] * 4}):
+                self.assertIn(next(iter(more)), self.refused("invalid_argument", client.push_block, "listed", 9, block, **more))
+            memory = client.laid_out(block, np.arange(n))
+            for far in ({"offset": memory[-1]["offset"] + 1}, {"offset": len(client.area) - 8}, {"offset": 2**60}):
+                self.refused("invalid_argument", client.push_block, "listed", 9, block, memory=[*memory[:-1], memory[-1] | far])
+            for row in (n, -1, 2**62):
+                wrong = np.arange(n)
+                wrong[n // 2] = row
+                self.assertIn("row", self.refused("invalid_argument", client.push_block, "listed", 9, block,
+                                                  deal=np.array_split(wrong, 3)))
+            twice = np.arange(n)
+            twice[5] = 6  # so that a particle would be there twice, and another would not
+            self.refused("not_conserved", client.push_block, "listed", 9, block, deal=np.array_split(twice, 3))
+            # Rows of a rank that reads the memory are dropped where they come; those of another are missed at the deadline.
+            self.refused("deadline_exceeded", self.push_without, client, block, deadline_seconds=1, by_socket=[1, 2])
+            self.assertEqual(client.ask("scene.show", scene="listed")[0], before)
+            self.assertEqual(client.push_block("listed", 9, block)[0]["report"]["step"], 9)
+
+    def push_without(self, client, block, **more):
+        """A push whose last rank gets no slice."""
+        begin, slices = client.frames("listed", 9, block, **more)
+        client.write(begin)
+        slices[0][0].sendall(slices[0][1])
+        return client.finish()
 
     def test_memory_that_is_not_what_it_should_be(self):
         points, n = self.walk[0], len(self.walk[0])
@@ -300,9 +236,6 @@ class SharedMemory(Refusals, ServiceTest):
                 if wrong and type(wrong) is list and wrong != [3]:
                     wrong = [{"number": 1} | array for array in wrong]
                 self.refused("invalid_argument", client.step, "s", 0, rows, memory=wrong)
-            self.refused("invalid_argument", client.step, "s", 0, rows, slices=1)
-            for more in ({"order": "plan"}, {"moved": "some", "counts": [1]}):
-                self.refused("unsupported", client.step, "s", 0, rows, **more)
             rows[:] = points
             rows[17, 1] = np.nan
             self.assertIn("particle 17", self.refused("not_finite", client.step, "s", 0, rows))
@@ -332,10 +265,10 @@ class SharedMemory(Refusals, ServiceTest):
             self.assertEqual(set(arrays_of(answer, bulk)["x"]), {0.0})
             with Client(self.path) as foreign:  # another session's number is nobody else's
                 self.refused("aborted", foreign.ask, "push.begin", scene="s", session=foreign.session, step=2, attempt=1,
-                             n=n, slices=0, order="id", path="shared", memory=[
+                             n=n, path="shared", memory=[
                                  {"name": "xyz"[a], "number": 1, "offset": 8 * a, "stride": 24} for a in range(3)])
                 self.refused("not_authorised", foreign.ask, "push.begin", scene="s", session=client.session, step=2,
-                             attempt=1, n=n, slices=0, order="id", path="shared", memory=[
+                             attempt=1, n=n, path="shared", memory=[
                                  {"name": "xyz"[a], "number": 1, "offset": 8 * a, "stride": 24} for a in range(3)])
             links, client.links = client.links, []
             for link in links:
@@ -343,17 +276,6 @@ class SharedMemory(Refusals, ServiceTest):
             time.sleep(0.1)
             self.refused("aborted", client.step, "s", 2, rows)
         self.settles(before)
-
-    def test_a_step_that_is_there_already_is_told_whatever_its_counts_are(self):
-        n = len(self.walk[0])
-        with SharedClient(self.path) as client:
-            client.ask("scene.create", scene="again", parts=4)
-            rows = client.positions(n)
-            rows[:] = self.walk[0]
-            again = {"order": "plan", "moved": "all", "plan": client.step("again", 0, rows)[0]["plan"]}
-            for counts in ({}, {"counts": []}, {"counts": [n]}, {"counts": [-1] * len(client.links)}):
-                self.assertTrue(client.step("again", 0, rows, **again, **counts)[0]["repeated"])
-            self.assertEqual(client.step("again", 1, rows)[0]["report"]["step"], 1)
 
     def test_descriptors_that_nobody_asked_for_are_closed(self):
         maps, descriptors = self.at_rest()

@@ -115,7 +115,7 @@ class Usage(unittest.TestCase):
         self.refuse("partition", "p.csv", "--parts", says=["--parts", "value is missing"])
         self.refuse("partition", "p.csv", "q.csv", "--parts", 8, says=["'q.csv'"])
         self.refuse("scene", "create", "s", "--parts", 2, "--method", "rbc", says=["--method", "'rbc'", "bands-x"])
-        self.refuse("push", "s", "f.csv", "--unmoved", says=["--unmoved"])
+        self.refuse("push", "s", "f.csv", "--inserted", -1, says=["--inserted"])
         self.refuse("push", "s", "", says=["empty"])
 
     def test_endpoints(self):

@@ -44,7 +44,7 @@ class Commands(Actor):
             ["stats", scene], ["quality", scene], ["owner", scene, "0.5", "0.25", "-1e-3"],
             ["box", scene, "0", "0", "0", ".5", ".5", ".5"], ["history", scene, "--last", "2"],
             ["history", scene, "--csv", out + ".csv"], ["assign", scene, "--out", out + ".npy"],
-            ["rebalance", scene, "--dry-run", "--parts", "3"], ["push", scene, self.csv], ["push", scene, "--unmoved"],
+            ["rebalance", scene, "--dry-run", "--parts", "3"], ["push", scene, self.csv],
             ["export", scene, out, "--format", "npy,vtk"], ["partition", self.csv, "--parts", "5", "--assign", out + ".npy"],
             ["compare", self.csv, "--parts", "4"], ["watch", scene, "--for", "1"],
         ]

@@ -8,15 +8,15 @@ from actor import LOST, Actor
 from protocol_client import GOODBYE, HELLO, NOTICE, REPLY, REQUEST, Client, Refused, connected, frame, xxh3
 
 # Names that the service uses on its inside, and fields of requests: nobody may believe them from outside.
-INTERNAL = ("staged", "membership", "session", "unmoved", "slices", "together", "members", "number", "rank", "direct", "loan",
-            "snapshot", "changes", "internal", "push", "secret", "follow", "generation")
+INTERNAL = ("staged", "membership", "session", "blocks", "together", "members", "number", "rank", "direct", "loan",
+            "snapshot", "terms", "internal", "push", "secret", "way", "generation")
 COMMANDS = ("status", "scene.list", "scene.show", "scene.open", "scene.close", "scene.create", "error", "counts", "cuts",
-            "history", "stats", "owner", "box", "assign", "fetch", "quality", "plan", "compare", "rebalance", "push.begin",
-            "push.slice", "push", "push.members", "push.staged", "hello", "")
-FIELDS = ("step", "attempt", "n", "slices", "order", "plan", "base_step", "dtype", "moved", "weights", "ids", "changes",
-          "path", "rank", "count", "first", "counts", "inserted", "removed", "inserted_ids", "holds", "arrays", "parts",
+            "history", "stats", "owner", "box", "assign", "fetch", "quality", "compare", "count", "rebalance", "push.begin",
+            "push.slice", "push", "push.staged", "hello", "")
+FIELDS = ("step", "attempt", "n", "dtype", "weights", "ids", "drifted", "cuts_known", "incarnation", "hash", "id_sum",
+          "path", "rank", "count", "first", "counts", "inserted", "removed", "memory", "sockets", "arrays", "parts",
           "dims", "method", "tolerance", "part_sizes", "replace", "position", "id", "lo", "hi", "last", "member",
-          "members", "places", "epoch", "methods", "ghost_width", "dry_run", "policy", "step_seconds", "client",
+          "members", "epoch", "methods", "ghost_width", "dry_run", "policy", "step_seconds", "client",
           "protocol", "token", "version", "deadline_seconds")
 
 
@@ -141,8 +141,7 @@ class Fuzz(Actor):
 
     def value(self, depth=0):
         number = self.random.choice([0, 1, -1, 2, 7, 2**31, 2**48, 2**53 + 1, 2**63 - 1, -2**63, 2**64 - 1, 0.5, 1e308])
-        text = self.random.choice(["", self.scene, "id", "plan", "<f8", "<f4", "all", "some", "none", "direct", "gateway",
-                                   "inserted", "removed", "x" * 1000, "0" * 16, "\u0000", "é", *self.sessions])
+        text = self.random.choice(["", self.scene, "id", "<f8", "<f4", "none", "direct", "gateway", "shared", "x" * 1000, "0" * 16, "\u0000", "é", *self.sessions])
         if depth > 2:
             return number
         return self.random.choice([
@@ -243,5 +242,5 @@ class Fuzz(Actor):
                 return
             n = self.random.choice([10**6, 10**8, 4 * 10**8])
             client.send({"command": "push.begin", "scene": self.scene, "session": client.session, "step": 0, "attempt": 1,
-                         "n": n, "slices": 1, "order": "id", "plan": None, "deadline_seconds": 2})
+                         "n": n, "deadline_seconds": 2})
             self.drain(client.socket)

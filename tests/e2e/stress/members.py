@@ -1,9 +1,10 @@
 """Members of a parallel solver that join, push, die in the midst of a slice and come back."""
 import numpy as np
 from actor import Actor
-from member_client import DirectMember, Member, handed_over
-from model import Model, check_report, check_scene
+from member_client import Member, owner
+from model import Model, Told, check_report, check_scene
 from protocol_client import Refused
+from push_client import WAYS
 from pushers import UNTRUE
 
 TURNS = 25  # then another team
@@ -17,19 +18,17 @@ class Members(Actor):
         self.drop_all(self.control)
         rng = self.rng
         self.count_of_members, self.parts = int(rng.integers(1, 6)), int(rng.integers(1, 12))
-        self.direct = bool(rng.integers(2))
         self.model = Model.random(rng, int(rng.choice([40, 900, 3000])), int(rng.integers(1, 4)), False, False)
         self.scene = self.create(self.control, parts=self.parts, dims=self.model.points.shape[1],
                                  tolerance=float(rng.choice([0.02, 0.1])))
-        self.number, self.turns, self.attempt = 0, 0, 0
+        self.number, self.turns, self.told = 0, 0, Told()
         n, count = len(self.model.ids), self.count_of_members
-        self.held = [np.arange(k * n // count, (k + 1) * n // count) for k in range(count)]
+        self.held = np.array_split(np.arange(n), count)
         self.team = [self.join(k) for k in range(count)]
-        self.push(by_ids=True)
+        self.push()
 
     def join(self, member, **options):
-        kind = DirectMember if self.direct else Member
-        return self.connect(kind, self.scene, member, self.count_of_members, **options)
+        return self.connect(Member, self.scene, member, self.count_of_members, **options)
 
     def turn(self):
         self.turns += 1
@@ -41,36 +40,28 @@ class Members(Actor):
             0, scale, self.model.points.shape)
         self.number += 1
         happens = self.rng.integers(8)
-        came_back = False
         if happens == 0:
             self.die()
-            came_back = True
         elif happens == 1:
             self.take_seat()
-            came_back = True
-        elif happens == 2:
-            if self.lie():
-                self.close_all()
-                return self.start()
-            came_back = True
-        self.push(by_ids=came_back or not self.direct or self.rng.integers(6) == 0)
+        elif happens == 2 and self.lie():
+            self.close_all()
+            return self.start()
+        self.push()
         if self.turns % 6 == 0:
-            check_scene(self, self.control, self.scene, self.model)
+            check_scene(self, self.control, self.scene, self.model, self.told)
             self.count("checks")
 
-    def begin_push(self, one, ids, by_ids, deadline_seconds=None):
-        self.attempt += 1
-        options = {"deadline_seconds": deadline_seconds or self.world.answer_seconds}
-        if by_ids:
-            one.start(self.number, ids, self.model.points, self.attempt, **options)
-        else:
-            one.start_directly(self.number, self.model.points, self.attempt, **options)
+    def begin_push(self, one, ids, deadline_seconds=None, **more):
+        one.begin(self.number, ids, self.model.points, deadline_seconds=deadline_seconds or self.world.answer_seconds,
+                  each=200, **{"cuts_known": self.told.known, "way": str(self.rng.choice(WAYS)), **more})
 
-    def push(self, by_ids):
+    def push(self):
         """One step of all, again as long as the service is busy."""
         for _ in range(100):
             for one, ids in zip(self.team, self.held):
-                self.begin_push(one, ids, by_ids)
+                self.begin_push(one, ids)
+                one.rest()
             refusals, answers = self.answers(self.team)
             if not refusals:
                 return self.take(answers)
@@ -89,15 +80,13 @@ class Members(Actor):
 
     def take(self, answers):
         self.count("steps")
-        self.model.parts = self.model.parts.copy()
-        for answer, arrays in answers:
+        for answer, _ in answers:
             check_report(self, answer["report"], self.scene, self.number, len(self.model.ids))
-            self.model.parts[arrays["changed_id"]] = arrays["changed_part"]
-        if not self.direct:
-            return
-        self.held = handed_over(self.held, answers)
-        together = np.sort(np.concatenate(self.held))
-        self.expect(np.array_equal(together, self.model.ids), "particles of all members together")
+            self.expect(answer["report"] == answers[0][0]["report"], "reports of members", answers)
+        self.told.take(*answers[0])
+        if self.rng.integers(2):  # what has left is handed over, or not
+            owners = owner(self.told.tree.assign(self.model.points), self.parts, self.count_of_members)
+            self.held = [np.flatnonzero(owners == k) for k in range(self.count_of_members)]
 
     def die(self):
         """A member dies, between two steps or in one, and comes back."""
@@ -118,11 +107,10 @@ class Members(Actor):
         others = [one for k, one in enumerate(self.team) if k != victim]
         for k, one in enumerate(self.team):
             if k != victim:
-                self.begin_push(one, self.held[k], by_ids=True)
-        self.attempt += 1
+                self.begin_push(one, self.held[k])
+                one.rest()
         one = self.team[victim]
-        one.begin(self.number, self.held[victim], self.attempt, **({"places": True} if self.direct else {}))
-        one.slice(self.held[victim], self.model.points, cut=int(self.rng.integers(1, 25)))
+        self.begin_push(one, self.held[victim], way="gateway", cut=int(self.rng.integers(1, 25)))
         one.close()
         refusals, answers = self.answers(others)
         self.expect(not answers, "a step without member", victim, answers[:1])
@@ -135,11 +123,10 @@ class Members(Actor):
         connections are of no use then: ranks wait for what it says of its slices."""
         before = self.ask(self.control, "scene.show", scene=self.scene)[0]["step"]
         k = self.random.randrange(self.count_of_members)
-        self.team[k].send = self.lying(self.team[k])
-        by_ids = not self.direct or any(one.places is None for one in self.team)
         for member, (one, ids) in enumerate(zip(self.team, self.held)):
             try:
-                self.begin_push(one, ids, by_ids, deadline_seconds=2 * self.world.patience)
+                self.begin_push(one, ids, deadline_seconds=2 * self.world.patience, **(self.lie_of() if member == k else {}))
+                one.rest()
             except TimeoutError:
                 self.expect(member == k, "a rank doesn't read what an honest member sends")
         refusals, answers = self.answers(self.team)
@@ -153,14 +140,12 @@ class Members(Actor):
         self.expect(before == after, "a step that was refused counts", self.said, refusals, before, after)
         return False
 
-    def lying(self, one):
-        """Sends the next message with one field changed."""
-        def send(document, *rest):
-            del one.send
-            fields = [name for name in document if name not in ("command", "scene", "session", "deadline_seconds")]
-            self.said = (self.random.choice(fields), self.random.choice(UNTRUE))
-            one.send({**document, self.said[0]: self.said[1]}, *rest)
-        return send
+    def lie_of(self):
+        """One field of a push.begin, and what isn't so."""
+        fields = ("step", "attempt", "n", "path", "dtype", "weights", "ids", "counts", "memory", "sockets", "inserted", "removed",
+                  "step_seconds", "cuts_known", "drifted", "incarnation")
+        self.said = (self.random.choice(fields), self.random.choice(UNTRUE))
+        return dict([self.said])
 
     def take_seat(self):
         """A member comes back before its older connection has ended."""

@@ -4,7 +4,7 @@ import dataclasses
 import judge
 import numpy as np
 from protocol_client import arrays_of
-from push_client import Step
+from push_client import Block
 
 
 def tree_of(answer, dims):
@@ -31,76 +31,63 @@ def tree_of(answer, dims):
 
 @dataclasses.dataclass
 class Model:
-    ids: np.ndarray  # ascending
+    ids: np.ndarray
     points: np.ndarray
     weights: np.ndarray = None
-    parts: np.ndarray = None  # as the answers' changes tell it
-    greatest_id: int = 0
 
     @staticmethod
     def random(rng, n, dims, own_ids, weighted):
-        ids = np.sort(rng.choice(20 * n + 20, n, replace=False)).astype("<i8") if own_ids else np.arange(n)
+        ids = rng.choice(20 * n + 20, n, replace=False).astype("<i8") if own_ids else np.arange(n)
         weights = rng.integers(0, 40, n) / 4 if weighted else None  # their sums are exact
         points = rng.random((n, dims)) * rng.choice([1, 2, 0.5], dims)
         if rng.integers(3) == 0:
             points = np.round(points, 1)  # ties
-        return Model(ids, points, weights, np.full(n, -1), int(ids.max(initial=-1)))
+        return Model(ids, points, weights)
 
-    def next_step(self, rng, base):
-        """A step of some kind; the positions that move are moved here already."""
+    def move_on(self, rng):
+        """Moves the particles, and now and then lets some come and go. Gives how many, as a push says it."""
         n, dims = self.points.shape
-        kind = rng.choice(["drift", "drift", "jump", "few", "third", "none"])
-        dtype = rng.choice(["<f8", "<f8", "<f4"])
-        chosen = {"few": min(n, 5), "third": n // 3, "none": 0}.get(kind, n)
-        rows = np.arange(n) if chosen == n else np.sort(rng.permutation(n)[:chosen])
-        scale = 0.5 if kind == "jump" else 0.02
-        moved = self.points[rows] * rng.choice([1, 0.97]) + rng.normal(0, scale, (len(rows), dims))
+        kind, dtype = rng.choice(["drift", "drift", "jump", "few", "none"]), rng.choice(["<f8", "<f8", "<f4"])
+        moving = np.flatnonzero(rng.random(n) < {"few": 0.01, "none": 0}.get(kind, 1))
         self.points = self.points.copy()
-        self.points[rows] = moved.astype(dtype)
-        if kind in ("drift", "jump") and dtype == "<f4":
-            self.points = self.points.astype("<f4").astype("<f8")
-        step = Step(self.ids, self.points, moved=None if kind in ("drift", "jump") else self.ids[rows],
-                    base_step=base, dtype=str(dtype))
-        if self.weights is not None and step.moved is None and rng.integers(4) == 0:
-            step.weights = self.weights = rng.integers(0, 40, n) / 4
+        self.points[moving] = self.points[moving] * rng.choice([1, 0.97]) + rng.normal(
+            0, 0.5 if kind == "jump" else 0.02, (len(moving), dims))
+        said = {}
         if rng.integers(3) == 0:
-            self.edit(rng, step)
-        return step
-
-    def edit(self, rng, step):
-        n, dims = self.points.shape
-        count = int(rng.integers(0, 30))
-        if count:
-            step.inserted = rng.random((count, dims)).astype(step.dtype).astype("<f8")
-            if rng.integers(2):
-                step.inserted_ids = self.greatest_id + 1 + rng.permutation(3 * count)[:count]
+            gone, come = (int(rng.integers(30)) if n > 60 else 0), int(rng.integers(30))
+            stay = rng.permutation(n)[gone:]
+            self.points = np.concatenate([self.points[stay], rng.random((come, dims))])
+            self.ids = np.append(self.ids[stay], self.ids.max(initial=-1) + 1 + rng.permutation(3 * come)[:come])
             if self.weights is not None:
-                step.inserted_weights = rng.integers(0, 40, count) / 4
-        if n > 60:
-            step.removed = rng.permutation(self.ids)[: rng.integers(0, 30)]
+                self.weights = np.append(self.weights[stay], rng.integers(0, 40, come) / 4)
+            said = {"inserted": come, "removed": gone}
+        elif self.weights is not None and rng.integers(4) == 0:
+            self.weights = rng.integers(0, 40, n) / 4
+        if dtype == "<f4":
+            self.points = self.points.astype("<f4").astype("<f8")
+        self.dtype = str(dtype)
+        return said
 
-    def commit(self, step, answer, arrays):
-        """What a step that was answered leaves."""
-        if step.inserted is not None:
-            ids = step.inserted_ids
-            if ids is None:
-                ids = answer["report"]["first_id"] + np.arange(len(step.inserted))
-            self.greatest_id = max(self.greatest_id, int(ids.max()))
-            self.ids, self.points = np.append(self.ids, ids), np.concatenate([self.points, step.inserted])
-            self.parts = np.append(self.parts, arrays["inserted_part"])
-            if self.weights is not None:
-                self.weights = np.append(self.weights, step.inserted_weights)
-            order = np.argsort(self.ids)
-            self.keep(order)
-        if len(step.removed):
-            self.keep(np.flatnonzero(~np.isin(self.ids, step.removed)))
-        self.parts = self.parts.copy()
-        self.parts[np.searchsorted(self.ids, arrays["changed_id"])] = arrays["changed_part"]
+    def block(self, rng):
+        """The rows in some order, without ids where these say nothing."""
+        n = len(self.ids)
+        if np.array_equal(self.ids, np.arange(n)) and rng.integers(2):
+            return Block(self.points, None, self.weights, self.dtype)
+        rows = rng.permutation(n)
+        return Block(self.points[rows], self.ids[rows], None if self.weights is None else self.weights[rows], self.dtype)
 
-    def keep(self, rows):
-        self.ids, self.points, self.parts = self.ids[rows], self.points[rows], self.parts[rows]
-        if self.weights is not None:
-            self.weights = self.weights[rows]
+    dtype = "<f8"
+
+
+class Told:
+    """The cuts, as the answers to pushes tell them."""
+
+    known, tree = {}, None
+
+    def take(self, answer, arrays):
+        if "cuts" in answer:
+            self.known = {name: answer["cuts"][name] for name in ("epoch", "hash")}
+            self.tree = judge.Tree.of_arrays(arrays, answer["cuts"]["dims"])
 
 
 def check_report(actor, report, scene, number, n):
@@ -109,9 +96,11 @@ def check_report(actor, report, scene, number, n):
     actor.expect(report["repartitioned"] or report["moved"] == 0, "moved without new cuts", report)
 
 
-def check_scene(actor, client, scene, model):
+def check_scene(actor, client, scene, model, told=None):
     """No particle lost, each where the model has it, and in the part that the cuts give it. Returns the partition's hash."""
     n, dims = model.points.shape
+    rows = np.argsort(model.ids)
+    model = Model(model.ids[rows], model.points[rows], None if model.weights is None else model.weights[rows])
     shown = actor.ask(client, "scene.show", scene=scene)[0]
     actor.expect(shown["n"] == n, "n of", scene, shown["n"], "not", n)
     held = arrays_of(*actor.ask(client, "fetch", scene=scene))
@@ -127,7 +116,9 @@ def check_scene(actor, client, scene, model):
     actor.expect(np.array_equal(assigned["id"], model.ids), "ids of the assignment of", scene)
     actor.expect(np.array_equal(assigned["part"], expected), "parts of", scene, "against its own cuts")
     actor.expect(np.array_equal(held["part"], expected), "parts that were fetched of", scene)
-    actor.expect(np.array_equal(model.parts, expected), "parts of", scene, "as the answers told them")
+    if told:
+        actor.expect(told.known["hash"] == shown["hash"], "cuts of", scene, "as told", told.known, "not", shown["hash"])
+        actor.expect(np.array_equal(told.tree.assign(model.points, model.ids), expected), "parts by the cuts told of", scene)
     counts = actor.ask(client, "counts", scene=scene)[0]
     actor.expect(sum(counts["counts"]) == n, "sum of counts of", scene, counts)
     actor.expect(np.array_equal(np.bincount(expected, minlength=tree.parts), counts["counts"]), "counts of", scene)
@@ -144,7 +135,8 @@ def check_cut_anew(actor, client, scene, model, parts, method):
     """A rebalance follows the rule alone, whatever came before: the judge finds the same parts."""
     answer = actor.ask(client, "rebalance", scene=scene, parts=parts, method=method)[0]
     if model.weights is None:
-        expected = judge.partition(model.points, parts, method, model.ids)[1]
+        rows = np.argsort(model.ids)
+        expected = judge.partition(model.points[rows], parts, method, model.ids[rows])[1]
         assigned = arrays_of(*actor.ask(client, "assign", scene=scene))["part"]
         actor.expect(np.array_equal(assigned, expected), "parts of", scene, "after rebalance to", parts, method)
     return answer["hash"]

@@ -1,24 +1,26 @@
 """Pushes of a single client, by every way."""
+import dataclasses
+
 import numpy as np
 from actor import LOST, Actor
-from model import Model, check_cut_anew, check_report, check_scene
-from protocol_client import Refused, arrays_of, reframed
-from push_client import WAYS, PushClient, Step
+from model import Model, Told, check_cut_anew, check_report, check_scene
+from protocol_client import Refused, reframed
+from push_client import WAYS, Block, PushClient
 
-SAME = ("step", "epoch", "n", "error_before", "error", "imbalance", "repartitioned", "reason", "axes_flipped", "drifted",
-        "moved", "migrated", "inserted", "removed", "scanned", "skipped")
+SAME = ("step", "epoch", "n", "error_before", "error", "imbalance", "repartitioned", "reason", "axes_flipped", "moved",
+        "migrated", "inserted", "removed", "scanned")
 TURNS = 40  # then other scenes
 
 # What a field of a push may say that isn't so.
-UNTRUE = (None, True, "", "x", "id", "plan", "direct", "some", "none", "<f4", "<i8", 0, 1, -1, 2, 7, 0.5, 2**31, 2**40,
+UNTRUE = (None, True, "", "x", "id", "gateway", "direct", "shared", "<f4", "<i8", 0, 1, -1, 2, 7, 0.5, 2**31, 2**40,
           2**53 + 1, 2**63 - 1, -2**63, 2**64 - 1, 1e300, [], [1], [-1, 2, 3], [2**63 - 1] * 3, [2**62] * 4, [0.5] * 3,
-          {}, {"version": 1, "checksum": "0" * 16}, {"version": 2**64, "checksum": 7})
+          {}, {"epoch": 1, "hash": "0" * 16}, {"epoch": 2**64, "hash": 7}, [{"name": "x"}])
 
 
 class Ways(Actor):
     """One model, a scene for each way of pushing."""
 
-    expects = "by id, in plan order, straight to the ranks: the same reports, parts, cuts and hash, and no particle lost"
+    expects = "by the gateway, straight to the ranks, from memory: the same reports, cuts and hash, and no particle lost"
 
     def start(self):
         self.control = self.connect()
@@ -30,53 +32,49 @@ class Ways(Actor):
         self.model = Model.random(rng, n, dims, own_ids=rng.integers(2) == 1, weighted=rng.integers(3) == 0)
         self.number, self.turns = 0, 0
         options = {"parts": self.parts, "dims": dims, "tolerance": rng.choice([0.02, 0.1, 0.5])}
-        self.pushing = [(self.create(self.control, **options), self.connect(PushClient, way, tcp=rng.integers(4) == 0))
+        self.pushing = [(self.create(self.control, **options),
+                         self.connect(PushClient, way, tcp=way != "shared" and rng.integers(4) == 0), Told())
                         for way in WAYS]
-        own = not np.array_equal(self.model.ids, np.arange(n))
-        self.push(Step(self.model.ids, self.model.points, self.model.weights, own_ids=own))
+        self.push({})
 
     def turn(self):
         self.turns += 1
         if self.turns > TURNS:
             self.close_all()
             return self.start()
-        base = self.number
         self.number += int(self.rng.integers(1, 3))
-        self.push(self.model.next_step(self.rng, base))
+        self.push(self.model.move_on(self.rng))
         if self.turns % 8 == 0:
             self.check()
         if self.turns % 13 == 0:
             self.cut_anew()
 
-    def push(self, step):
-        answers = []
-        for scene, client in self.pushing:
-            each = int(self.rng.choice([50, 700, 10_000]))
-            answer, arrays = self.patiently(client.push_step, scene, self.number, step, each=each,
-                                            deadline_seconds=self.world.answer_seconds)
+    def push(self, said):
+        reports = []
+        for scene, client, told in self.pushing:
+            block, each = self.model.block(self.rng), int(self.rng.choice([50, 700, 10_000]))
+            if said:
+                block = dataclasses.replace(block, ids=self.model.ids if block.ids is None else block.ids)
+            answer, arrays = self.patiently(client.push_block, scene, self.number, block, each=each, cuts_known=told.known,
+                                            deadline_seconds=self.world.answer_seconds, **said)
             self.count("steps")
-            n = len(step.ids) + (0 if step.inserted is None else len(step.inserted)) - len(step.removed)
-            check_report(self, answer["report"], scene, self.number, n)
-            answers.append((answer, arrays))
-        for (scene, _), (answer, arrays) in list(zip(self.pushing, answers))[1:]:
+            told.take(answer, arrays)
+            check_report(self, answer["report"], scene, self.number, len(self.model.ids))
+            reports.append(answer["report"])
             for name in SAME:
-                self.expect(answer["report"][name] == answers[0][0]["report"][name], name, "of", scene,
-                            answer["report"], "not as by id", answers[0][0]["report"])
-            for name, values in answers[0][1].items():
-                self.expect(np.array_equal(arrays[name], values), name, "of", scene, "not as by id")
-        self.model.commit(step, *answers[0])
+                self.expect(reports[-1][name] == reports[0][name], name, "of", scene, reports[-1], "not as by the gateway",
+                            reports[0])
 
     def check(self):
-        hashes = [check_scene(self, self.control, scene, self.model) for scene, _ in self.pushing]
+        hashes = [check_scene(self, self.control, scene, self.model, told) for scene, _, told in self.pushing]
         self.expect(len(set(hashes)) == 1, "hashes", hashes)
         self.count("checks")
 
     def cut_anew(self):
         self.parts = int(self.rng.integers(1, 20))
         method = str(self.rng.choice(["rcb", "bands-" + "xyz"[self.model.points.shape[1] - 1]]))
-        hashes = [check_cut_anew(self, self.control, scene, self.model, self.parts, method) for scene, _ in self.pushing]
+        hashes = [check_cut_anew(self, self.control, scene, self.model, self.parts, method) for scene, *_ in self.pushing]
         self.expect(len(set(hashes)) == 1, "hashes after rebalance", hashes)
-        self.model.parts = arrays_of(*self.ask(self.control, "assign", scene=self.pushing[0][0]))["part"].copy()
 
 
 class Quitters(Actor):
@@ -89,12 +87,12 @@ class Quitters(Actor):
         self.drop_all(self.control)
         self.model = Model.random(self.rng, 800, 3, False, False)
         self.scene, self.number = self.create(self.control, parts=6), 0
-        self.push(Step(self.model.ids, self.model.points))
+        self.push({})
 
-    def push(self, step):
+    def push(self, said):
         with self.connect(PushClient, str(self.rng.choice(WAYS)), keep=False) as client:
-            answer, arrays = self.patiently(client.push_step, self.scene, self.number, step)
-        self.model.commit(step, answer, arrays)
+            block = Block(self.model.points, self.model.ids)
+            self.patiently(client.push_block, self.scene, self.number, block, **said)
         self.count("steps")
 
     def turn(self):
@@ -104,20 +102,18 @@ class Quitters(Actor):
         after = self.ask(self.control, "scene.show", scene=self.scene)[0]
         before.pop("members"), after.pop("members")
         self.expect(before == after, "a push that was cut changed the scene", before, after)
-        step = self.model.next_step(self.rng, self.number)
         self.number += 1
-        self.push(step)
+        self.push(self.model.move_on(self.rng))
         if self.rng.integers(4) == 0:
             check_scene(self, self.control, self.scene, self.model)
 
     def quit(self):
         client = self.connect(PushClient, str(self.rng.choice(WAYS)), keep=False)
         try:
-            moved = None if self.rng.integers(2) else self.model.ids[::3]
-            step = Step(self.model.ids, self.model.points + 1, moved=moved, base_step=self.number)
-            begin, edits, slices = self.patiently(client.frames, self.scene, self.number + 1, step, each=100)
+            block = Block(self.model.points + 1, self.model.ids)
+            begin, slices = self.patiently(client.frames, self.scene, self.number + 1, block, each=100, by_socket=[1])
             left = int(self.rng.integers(0, len(begin) + sum(len(data) for _, data in slices)))
-            for link, data in [(client.socket, begin), *edits, *slices]:
+            for link, data in [(client.socket, begin), *slices]:
                 link.sendall(data[:left])
                 left -= min(left, len(data))
                 if left == 0:
@@ -142,7 +138,7 @@ class Liars(Actor):
         self.points = self.rng.random((300, self.dims))
         self.scene, self.number = self.create(self.control, parts=self.parts, dims=self.dims), 0
         with self.connect(PushClient, keep=False) as client:
-            self.patiently(client.push_step, self.scene, 0, Step(np.arange(300), self.points))
+            self.patiently(client.push_block, self.scene, 0, Block(self.points))
 
     def turn(self):
         before = self.ask(self.control, "scene.show", scene=self.scene)[0]
@@ -156,14 +152,13 @@ class Liars(Actor):
 
     def lie(self):
         """True if the push was answered all the same; None if it may yet be committed, since its deadline was the lie."""
-        step = Step(np.arange(300), self.points, base_step=0)
-        if self.rng.integers(2):
-            step.moved = np.sort(self.rng.permutation(300)[:20])
+        said, block = {}, Block(self.points, self.rng.permutation(300) if self.rng.integers(2) else None)
         if self.rng.integers(3) == 0:
-            step.inserted, step.removed = self.rng.random((4, self.dims)), np.array([3, 7])
+            said = {"inserted": 1, "removed": 2}
+            block = Block(self.points[1:], np.append(np.arange(298), 900))
         with self.connect(PushClient, self.random.choice(WAYS), keep=False) as client:
-            begin, edits, slices = self.patiently(client.frames, self.scene, 1, step, each=70, deadline_seconds=2)
-            frames = [(client.socket, begin), *edits, *slices]
+            begin, slices = self.patiently(client.frames, self.scene, 1, block, each=70, deadline_seconds=2, by_socket=[1], **said)
+            frames = [(client.socket, begin), *slices]
             k = self.random.randrange(len(frames)) if self.rng.integers(3) == 0 else 0
             frames[k] = (frames[k][0], reframed(frames[k][1], self.change))
             try:

@@ -5,7 +5,7 @@ import time
 import numpy as np
 from actor import LOST, Actor
 from protocol_client import REQUEST, Client, Refused, arrays_of, frame
-from push_client import PushClient, Step
+from push_client import Block, PushClient
 
 # What the service may say to a question that makes no sense.
 NONSENSE = ("invalid_argument", "not_found", "unsupported", "too_large", "already_exists", "busy", "deadline_exceeded")
@@ -23,8 +23,7 @@ class OwnScene(Actor):
         self.points = self.rng.random((self.n, self.dims))
         self.scene = self.create(self.client, parts=self.parts, dims=self.dims)
         with self.connect(PushClient, "gateway", keep=False) as pusher:
-            step = Step(np.arange(self.n), self.points)
-            self.patiently(pusher.push_step, self.scene, 0, step)
+            self.patiently(pusher.push_block, self.scene, 0, Block(self.points))
         self.assigned = arrays_of(*self.ask(self.client, "assign", scene=self.scene))["part"]
 
     def right(self):
@@ -37,12 +36,12 @@ class OwnScene(Actor):
             {"command": "history", **scene, "last": 3}, {"command": "stats", **scene},
             {"command": "owner", **scene, "position": position, "id": int(rng.integers(self.n))},
             {"command": "box", **scene, "lo": [0.2] * self.dims, "hi": [0.4] * self.dims},
-            {"command": "assign", **scene}, {"command": "fetch", **scene}, {"command": "plan", **scene},
+            {"command": "assign", **scene}, {"command": "fetch", **scene},
             {"command": "quality", **scene}, {"command": "compare", **scene, "methods": ["rcb", "bands-x"]},
             {"command": "rebalance", **scene, "dry_run": True, "parts": 5},
             {"command": "halo", **scene, "width": 0.3, "lists": True, "periodic": {"lo": [0] * self.dims, "hi": [1] * self.dims}},
             {"command": "neighbours", **scene, "width": 0.01, "norm": "euclid"}, {"command": "cuts", **scene, "list": "arrays"},
-        ][rng.integers(19)]
+        ][rng.integers(18)]
 
     def judge(self, command, answer):
         """What is foretold of an answer."""
@@ -54,8 +53,6 @@ class OwnScene(Actor):
             # Only a full disk, which another actor makes, loses a report, and the answer tells it.
             lost = "No space left" in answer.get("loss", "") and answer["lost"] == 1
             self.expect([report["step"] for report in answer["history"]] == ([] if lost else [0]), answer)
-        elif command == "plan":
-            self.expect(sum(answer["counts"]) == self.n, answer)
 
 
 class Readers(OwnScene):
@@ -157,7 +154,7 @@ class Rude(OwnScene):
         """A connection on which large answers are due."""
         client = self.connect(keep=False)
         client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        command = self.random.choice(["fetch", "cuts", "plan", "assign", "scene.show"])
+        command = self.random.choice(["fetch", "cuts", "assign", "scene.show"])
         client.socket.sendall(b"".join(frame(REQUEST, 10 + k, {"command": command, "scene": self.scene})
                                        for k in range(count)))
         return client

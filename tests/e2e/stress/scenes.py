@@ -4,8 +4,8 @@ import os
 import numpy as np
 from actor import Actor
 from model import Model, check_cut_anew, check_scene
-from protocol_client import Refused, arrays_of
-from push_client import PushClient, Step
+from protocol_client import Refused
+from push_client import Block, PushClient
 
 MANY = 900  # of the 1,024 that there may be; others have some
 
@@ -14,7 +14,7 @@ class Scenes(Actor):
     expects = "a thousand scenes are created, pushed, replaced, cut anew and dropped, and none is forgotten or mixed up"
 
     def start(self):
-        self.control = self.connect(PushClient, "by-id")
+        self.control = self.connect(PushClient)
         self.drop_all(self.control)
         self.known = {}  # name: (parts, n)
         self.many = int(self.rng.choice([60, 200, MANY], p=[0.5, 0.4, 0.1]))
@@ -50,7 +50,7 @@ class Scenes(Actor):
         parts, n, step = self.known[name]
         n = n or int(self.rng.integers(1, 200))
         points = self.rng.random((n, 3))
-        answer, _ = self.patiently(self.control.push_step, name, step + 1, Step(np.arange(n), points))
+        answer, _ = self.patiently(self.control.push_block, name, step + 1, Block(points))
         self.expect(answer["report"]["n"] == n, "n of", name, answer["report"], n)
         self.known[name] = (parts, n, step + 1)
         self.count("steps")
@@ -113,7 +113,6 @@ class Files(Actor):
         np.save(path, self.model.points)
         answer = self.ask(self.control, "load", scene=scene, path=path)[0]
         self.expect(answer["report"]["n"] == len(self.model.ids), "loaded", answer["report"])
-        self.model.parts = arrays_of(*self.ask(self.control, "assign", scene=scene))["part"]
         hash_of_file = check_scene(self, self.control, scene, self.model)
         self.expect(hash_of_file == check_cut_anew(self, self.control, scene, self.model, parts, "rcb"), "hash of", scene)
         written = self.ask(self.control, "write_parts", scene=scene, directory=self.folder)[0]["files"]
