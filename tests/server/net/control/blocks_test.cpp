@@ -204,8 +204,8 @@ TEST_F(Blocks, AStepIsOrderedWhenEveryRankHasWhatEveryMemberBrings) {
   // The answer is lost: the report is told again, and what comes to the ranks is dropped.
   direct(0, {4, 0, 1}, {{"attempt", 2}});
   const Received again = team_[0].receive_but_notices();
-  EXPECT_EQ(again.json["repeated"], true);
-  EXPECT_EQ(again.json["report"]["step"], 8);
+  EXPECT_EQ(again.json.value("repeated", false), true) << again.message();
+  EXPECT_EQ(again.json.value("/report/step"_json_pointer, Json()), 8);
   settle();
   ASSERT_EQ(plane_.dropped.size(), 1U);
   EXPECT_EQ(plane_.dropped[0].attempt, 2);
