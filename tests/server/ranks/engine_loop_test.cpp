@@ -68,7 +68,7 @@ class Queue {
 
   void push_step(const std::string& scene, std::int64_t step) {
     Random random(static_cast<std::uint64_t>(step));
-    service::PushSlice slice{.rank = 0, .count = kCount, .arrays = {}};
+    service::PushSlice slice{.count = kCount, .arrays = {}, .divided = true};
     for (const char* axis : {"x", "y", "z"}) {
       wire::Array array{axis, "<f8", {kCount}, {}};
       std::vector<double> values(kCount);
@@ -84,8 +84,7 @@ class Queue {
          {"step", step},
          {"attempt", 0},
          {"n", kCount},
-         {"slices", 1},
-         {"order", "id"}},
+         {"blocks", Json::array({{{"member", 0}, {"n", kCount}, {"path", "gateway"}, {"dtype", "<f8"}}})}},
         std::move(slices));
   }
 
