@@ -2,7 +2,7 @@
 // themselves need is said beside them (server/service/commands).
 //
 // The sessions look up who runs a command, the engine whether it may change a scene. A client's request is reduced to
-// the fields listed here, so it can't set a field for internal use (such as a push's "staged").
+// the fields listed here, so it can't set a field for internal use (such as a push's "blocks").
 #pragma once
 
 #include <span>

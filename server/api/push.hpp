@@ -74,6 +74,10 @@ struct Push {
   bool direct(int rank) const { return direct() && !from_memory(rank); }
 };
 
+// Whether the n particles of a step are those that the scene had, but for what came and went. Errors: not_conserved.
+Status check_conserved(const std::string& scene, std::uint64_t had, std::uint64_t n, std::uint64_t inserted,
+                       std::uint64_t removed);
+
 // The fields of a push.begin besides those of `id`. Errors: invalid_argument.
 Result<Push> read_push(const wire::Json& request, PushId id, int ranks);
 

@@ -11,61 +11,50 @@ namespace {
 
 constexpr std::uint64_t kBytesAheadMax = std::uint64_t{64} << 20U;
 
-// What a push, or a member's contribution, has in memory that its client shares with this rank. What `push` says was
-// checked before it was ordered.
-api::Slice shared_slice(const net::DataPort& data, const wire::Json& push) {
-  api::Slice slice{.rank = data.rank()};
-  auto arrays = api::read_shared(push);
+// The memory that the client of a block shares with this rank. What the block says was checked before it was ordered.
+void add_shared(const net::DataPort& data, const wire::Json& block, api::Slice& slice) {
+  auto arrays = api::read_shared(block);
   RCB_CHECK(arrays.ok(), arrays.status().message());
-  const auto session = push.at("session").get<std::string>();
+  const auto session = block.at("session").get<std::string>();
   for (api::SharedArray& where : *arrays) {
     auto memory = data.memory(session, where.memory);
     slice.shared.push_back({std::move(where), std::move(memory)});
   }
-  slice.rows = push.at("n").get<std::uint64_t>();
-  slice.is_float32 = push.value("dtype", "") == "<f4";
-  return slice;
+  slice.rows = block.at("n").get<std::uint64_t>();
+  slice.is_float32 = block.at("dtype") == "<f4";
 }
 
-// Whether this rank's particles come over its socket, though the push is one from shared memory.
-bool by_socket(const net::DataPort& data, const wire::Json& push) {
-  const auto ranks = push.find("sockets");
-  return ranks != push.end() && std::find(ranks->begin(), ranks->end(), data.rank()) != ranks->end();
-}
-
-// The same in order "plan": the push says how many of its rows are on each rank.
-api::Slice shared_slice_by_slot(const net::DataPort& data, const wire::Json& push) {
-  api::Slice slice = shared_slice(data, push);
-  const auto counts = push.find("counts");
-  if (counts == push.end() || counts->empty()) return slice;  // of a step that is committed already
-  for (int rank = 0; rank <= data.rank(); ++rank) {
-    slice.first_row += slice.count;
-    slice.count = counts->at(static_cast<std::size_t>(rank)).get<std::uint64_t>();
-  }
-  return slice;
+// Whether this rank's rows come from memory: all that it reads for a block by the path "shared", but for the ranks that
+// have theirs by socket.
+bool from_memory(const net::DataPort& data, const wire::Json& block) {
+  return block.at("path") == "shared" && std::ranges::count(block.at("sockets"), wire::Json(data.rank())) == 0;
 }
 
 }  // namespace
 
 std::vector<api::Slice> staged_slices(net::DataPort& data, const wire::Json& request) {
-  if (request.value("command", "") == "push" && request.value("path", wire::Json()) == "shared" &&
-      !by_socket(data, request))
-    return {request.value("order", "") == "plan" ? shared_slice_by_slot(data, request) : shared_slice(data, request)};
-  const auto staged = request.find("staged");
-  if (staged == request.end()) return {};
-  if (!staged->is_array()) return data.take(staged->get<std::uint64_t>());
   std::vector<api::Slice> slices;
-  for (std::size_t member = 0; member < staged->size(); ++member) {
-    const wire::Json& one = (*staged)[member];
-    std::vector<api::Slice> of_member;
-    if (one.is_object() && !by_socket(data, one))
-      of_member.push_back(shared_slice_by_slot(data, one));
-    else
-      of_member = data.take(one.is_object() ? one.at("number").get<std::uint64_t>() : one.get<std::uint64_t>());
-    for (api::Slice& slice : of_member) {
-      slice.member = static_cast<int>(member);
-      if (slice.count > 0) slices.push_back(std::move(slice));
+  const auto blocks = request.find("blocks");
+  if (blocks == request.end()) return slices;
+  for (const wire::Json& block : *blocks) {
+    if (block.at("path") == "gateway") continue;
+    api::Slice slice;
+    const auto counts = block.find("counts");
+    for (int rank = 0; counts != block.end() && rank <= data.rank(); ++rank) {
+      slice.first_row += slice.count;
+      slice.count = counts->at(static_cast<std::size_t>(rank)).get<std::uint64_t>();
     }
+    if (counts != block.end() && slice.count == 0) continue;
+    if (from_memory(data, block)) {
+      add_shared(data, block, slice);
+    } else {
+      auto taken = data.take(block.at("number").get<std::uint64_t>());
+      if (!taken) continue;
+      taken->first_row = slice.first_row;
+      slice = std::move(*taken);
+    }
+    slice.member = block.at("member").get<int>();
+    slices.push_back(std::move(slice));
   }
   return slices;
 }

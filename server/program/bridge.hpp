@@ -45,8 +45,8 @@ class Bridge final : public net::Engine {
   std::uint64_t number_ = 0;
 };
 
-// What came to this rank itself for an order: the slice of a single client, or one of each member, whose number is then
-// in Slice::rank; or the memory that the client shares. Empty if the order isn't such a push. I/O thread.
+// What this rank has itself of the blocks of a push: the slices that came to it, and the memory that clients share.
+// Empty if the order is no push. I/O thread.
 std::vector<api::Slice> staged_slices(net::DataPort& data, const wire::Json& request);
 
 }  // namespace rcb::server

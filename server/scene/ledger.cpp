@@ -20,6 +20,11 @@ Status stale_step(const std::string& scene, std::int64_t step, std::int64_t last
                       last + 1)};
 }
 
+Status made_anew(const std::string& scene) {
+  return {Code::not_found, fmt::format("scene '{}' was made anew since it was opened here", scene),
+          "open it again, and push its positions"};
+}
+
 Ledger::Ledger(std::string name, Created created, std::uint64_t incarnation, HistoryMemory& memory,
                std::unique_ptr<Journal> journal)
     : name_(std::move(name)), journal_(std::move(journal)), history_(std::make_unique<History>(memory, name_)) {
@@ -143,9 +148,7 @@ bool Ledger::was_in_last(const std::string& session, std::int64_t step) const {
 }
 
 Status Ledger::check_seat(const CountRecord& record) const {
-  if (record.incarnation != now_.incarnation)
-    return {Code::not_found, fmt::format("scene '{}' was made anew since it was opened here", name_),
-            "open it again, and push its positions"};
+  if (record.incarnation != now_.incarnation) return made_anew(name_);
   if (now_.step && record.step <= *now_.step) return stale_step(name_, record.step, *now_.step);
   return {};
 }

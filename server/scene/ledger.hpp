@@ -141,6 +141,8 @@ class Ledger {
   bool wants_positions_ = false;
 };
 
+// Refusal of a step of a scene that was replaced.
+Status made_anew(const std::string& scene);
 // Refusal of a step that is not above the scene's last one.
 Status stale_step(const std::string& scene, std::int64_t step, std::int64_t last);
 

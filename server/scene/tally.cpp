@@ -29,6 +29,15 @@ void add_parts(const CountRecord& record, std::map<std::int32_t, PartSum>& parts
   }
 }
 
+// Rows in parts outside [first, end).
+std::uint64_t strangers_of(const CountRecord& record, std::uint64_t first, std::uint64_t end) {
+  std::uint64_t strangers = 0;
+  for (std::size_t k = 0; k < record.parts.size(); ++k)
+    if (const auto part = static_cast<std::uint64_t>(record.parts[k]); part < first || part >= end)
+      strangers += record.counts[k];
+  return strangers;
+}
+
 void add_weights(const CountRecord& record, CountRecord& all) {
   const WeightCount& weights = *record.weights;
   if (!all.weights) {
@@ -46,12 +55,15 @@ bool Tally::whole() const {
   return std::ranges::all_of(records_, [](const auto& record) { return record.has_value(); });
 }
 
-Result<CountRecord> Tally::sum() const {
+Result<CountRecord> Tally::sum(int scene_parts) const {
   CountRecord all = *records_.front();
   all.n = all.bytes = 0;
   all.id_sum = 0;
   all.drifted.reset();
   all.weights.reset();
+  const auto first_part = [&](std::size_t seat) {
+    return seat * static_cast<std::uint64_t>(scene_parts) / records_.size();
+  };
   std::map<std::int32_t, PartSum> parts;
   for (std::size_t seat = 0; seat < records_.size(); ++seat) {
     const CountRecord& record = *records_[seat];
@@ -67,6 +79,7 @@ Result<CountRecord> Tally::sum() const {
       return cannot_add(seat, record.weights ? "it has weights, those before it have none" : "it has no weights");
     if (record.epoch != all.epoch || record.hash != all.hash) all.epoch = 0;  // of no cuts in force
     add_parts(record, parts);
+    all.strangers += strangers_of(record, first_part(seat), first_part(seat + 1));
     if (record.weights) add_weights(record, all);
   }
   all.parts.clear();

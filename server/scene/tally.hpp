@@ -20,8 +20,9 @@ class Tally {
   bool whole() const;
   // The counts of all seats together. Where they weigh in different scales, `weights->scale` is one that isn't due
   // (scale_due), and the loads mean nothing. Where they were counted by different cuts, `epoch` is 0, that of none.
-  // Errors: invalid_argument, naming the seat.
-  Result<CountRecord> sum() const;
+  // scene_parts: seat k of M has those from floor(k scene_parts / M) on, up to the next seat's; `strangers` are in
+  // others. Errors: invalid_argument, naming the seat.
+  Result<CountRecord> sum(int scene_parts) const;
 
  private:
   std::int64_t step_;

@@ -9,7 +9,6 @@
 #include <spdlog/spdlog.h>
 
 #include "common/auth/proof.hpp"
-#include "common/base/wide.hpp"
 #include "server/api/cut_arrays.hpp"
 #include "server/api/ledger_answers.hpp"
 #include "server/net/control/session.hpp"
@@ -41,12 +40,6 @@ Coordinator::Coordinator(asio::io_context& context, ControlOptions options, Engi
       large_requests_(wire::kLargeRequestBytesMax),
       scenes_(options_.keeping),
       memory_bytes_(static_cast<std::size_t>(options_.ranks)) {}
-
-void Coordinator::add_terms(Json& request, std::optional<double> step_seconds) const {
-  const scene::Ledger* ledger = scenes_.find(request.at("scene"));
-  if (Json terms = ledger == nullptr ? Json() : to_json(ledger->terms(step_seconds)); !terms.empty())
-    request["terms"] = std::move(terms);
-}
 
 void Coordinator::leave(Session* session) {
   sessions_.erase(session);
@@ -132,7 +125,7 @@ void Coordinator::complete(Answer answer, const std::shared_ptr<OrderReservation
                            const std::shared_ptr<Pending>& pending) {
   const OrderOptions& order = unfinished->order();
   if (answer.change) {
-    if (auto* stepped = std::get_if<scene::Stepped>(&answer.change->event)) stepped->members = order.members;
+    if (auto* stepped = std::get_if<scene::Stepped>(&answer.change->event)) stepped->sessions = order.sessions;
     take_change(answer);
   }
   unfinished->end();
@@ -177,8 +170,9 @@ void Coordinator::take_change(Answer& answer) {
   const scene::Ledger* ledger = scenes_.find(answer.change->scene);
   const Json previous_step = ledger == nullptr ? Json() : wire::or_null(ledger->now().step);
   const bool creates = std::holds_alternative<scene::Created>(answer.change->event);
-  if (scenes_.take(*std::move(answer.change), creates ? new_incarnation() : 0) == nullptr) return;
-  answer.json["report"] = ledger->last_report();
+  const scene::StepReport* report = scenes_.take(*std::move(answer.change), creates ? new_incarnation() : 0);
+  if (report == nullptr) return;
+  answer.json["report"] = to_json(*report);
   if (answer.json.contains("previous_step")) answer.json["previous_step"] = previous_step;
 }
 
@@ -284,8 +278,7 @@ std::shared_ptr<OpenPush> Coordinator::find_push(const PushId& id, const Connect
     if (own == contributions.end()) return nullptr;
     push = *own;
   }
-  const bool here = push->number == 0 || !push->slices.whole();
-  const bool fits = here && push->slices.terms().id == id && push->connection.get() == connection;
+  const bool fits = push->number == 0 && push->slices.terms().id == id && push->connection.get() == connection;
   return fits ? push : nullptr;
 }
 
@@ -320,7 +313,7 @@ std::uint64_t OpenPush::bytes_arrived() const {
 
 std::string OpenPush::progress() const {
   if (round) return round->progress();
-  if (number == 0) return slices.progress();
+  if (number == 0) return fmt::format("{} of {} bytes have come", charged_bytes, slices.terms().bytes());
   return fmt::format("{} of {} ranks have their slices", std::count(whole.begin(), whole.end(), true), whole.size());
 }
 
@@ -330,21 +323,12 @@ void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
   const auto ranks = static_cast<std::uint64_t>(options_.ranks);
   push->whole.assign(ranks, false);
   push->arrived_bytes.assign(ranks, 0);
-  const scene::Ledger* ledger = scenes_.find(terms.id.scene);
-  std::vector<std::uint64_t> counts;
-  if (ledger != nullptr && ledger->now().step) counts = ledger->now().rank_counts;
-  if (!terms.counts.empty()) counts = terms.counts;
-  if (counts.empty())  // the first push: equal blocks of rows
-    for (std::uint64_t r = 0; r < ranks; ++r)
-      counts.push_back(static_cast<std::uint64_t>(u128{terms.n} * (r + 1) / ranks - u128{terms.n} * r / ranks));
-  RCB_CHECK(counts.size() == ranks, "a count for each rank");
   std::vector<std::optional<std::uint64_t>> expected(ranks);
   for (std::size_t r = 0; r < ranks; ++r) {
-    const bool member_has_none = push->round != nullptr && counts[r] == 0;
-    if (terms.direct(static_cast<int>(r)) && terms.moved != Moved::none && !member_has_none) expected[r] = counts[r];
+    if (terms.direct(static_cast<int>(r)) && terms.counts[r] > 0) expected[r] = terms.counts[r];
     push->whole[r] = !expected[r];
   }
-  if (std::ranges::count(push->whole, false) > 0) data_->open({push->number, terms}, expected);
+  if (!push->ready()) data_->open({push->number, terms}, expected);
 }
 
 std::shared_ptr<OpenPush> Coordinator::find_push(std::uint64_t number) const {

@@ -117,7 +117,7 @@ struct OrderOptions {
   double received_seconds = 0;
   double deadline_seconds = 60;
   bool restores = false;                         // at the start, when nobody else orders: any number may be unfinished
-  std::vector<scene::MemberShare> members;       // of a push by members
+  std::vector<std::uint64_t> sessions;           // of a push by members: the key of each one's
   std::string changes;                           // name of the scene that the order changes; empty: none
   std::uint64_t charged_bytes = 0;               // released when the order is answered
   std::shared_ptr<std::atomic<bool>> cancelled;  // set to end the order early; null: it can't be
@@ -137,8 +137,6 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   scene::Ledgers& scenes() { return scenes_; }
   // Before anybody is let in: the scenes of an earlier service, without their particles.
   void restore_scenes();
-  // What the ranks need of the ledger to decide about a push.
-  void add_terms(wire::Json& request, std::optional<double> step_seconds) const;
   // Has the scene's next step bring its positions, for a question; at most once a second.
   void want_positions(const std::string& scene);
   bool shutting_down() const { return shutting_down_; }
@@ -186,7 +184,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   MemberGroups& groups() { return groups_; }
   // The open push or contribution with this id, if this connection opened it; else null.
   std::shared_ptr<OpenPush> find_push(const PushId& id, const Connection* connection);
-  // Tells the ranks to receive the slices of a push or contribution on the direct path. When all ranks have theirs,
+  // Tells the ranks with rows of a push or contribution on the direct path to receive them. When all have theirs,
   // on_complete() is called, or for a contribution MemberGroups::contribution_whole().
   void receive_directly(const std::shared_ptr<OpenPush>& push);
   void slice_reported(int rank, const SliceReport& report);

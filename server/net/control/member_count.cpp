@@ -10,7 +10,6 @@
 namespace rcb::net {
 
 using wire::FrameType;
-using wire::Json;
 
 namespace {
 
@@ -31,12 +30,11 @@ Status MemberGroups::count(CountBegin begin) {
   if (!begin.fault.ok()) return begin.fault;
   if (const Status fits = ledger->check_seat(*begin.record); !fits.ok()) {
     // A seat that repeats a step of which the others have the answer.
-    const auto* share = ledger->share_in_last(begin.record->session, begin.step);
-    if (fits.code() != Code::stale_step || share == nullptr) return fits;
-    return send_to(begin, api::repeated_to_member(*ledger, *share));
+    if (fits.code() != Code::stale_step || !ledger->was_in_last(begin.record->session, begin.step)) return fits;
+    return send_to(begin, api::repeated_to_member(*ledger));
   }
   const auto open = coordinator_.gate(begin.scene).push;
-  if (open && open->round) return send_to(begin, {{"send", "other members push this step"}});
+  if (open && open->round) return send_to(begin, R"({"send":"other members push this step"})");
   if (group->counting && group->counting->tally.step() != begin.step)
     return {Code::invalid_argument,
             fmt::format("member {} counts step {}, the others count step {}", *seat, begin.step,
@@ -54,36 +52,34 @@ Status MemberGroups::count(CountBegin begin) {
   return {};
 }
 
-Status MemberGroups::send_to(const CountBegin& begin, const Json& json) {
-  begin.connection->send(FrameType::reply, begin.request, json);
+Status MemberGroups::send_to(const CountBegin& begin, const std::string& json) {
+  begin.connection->send_text(FrameType::reply, begin.request, json);
   return {};
 }
 
 void MemberGroups::decide(Group& group, scene::Ledger& ledger) {
-  auto all = group.counting->tally.sum();
+  auto all = group.counting->tally.sum(ledger.now().options.parts);
   if (!all.ok()) return end_count(group, all.status());
   all->session = kMembersSession;
-  for (const auto& begin : group.counting->waiting) all->members.push_back({begin->session, 0});
+  for (const auto& begin : group.counting->waiting) all->sessions.push_back(begin->session);
   const scene::CountVerdict verdict = ledger.count(*all);
   if (const auto* refused = std::get_if<Status>(&verdict.is)) return end_count(group, *refused);
-  const Json json = api::verdict_json(ledger, verdict);
-  if (std::holds_alternative<scene::CountVerdict::Committed>(verdict.is)) group.last.reset();
-  answer_count(group, json);
+  answer_count(group, api::verdict_text(ledger, verdict));
 }
 
-void MemberGroups::answer_count(Group& group, const Json& json) { close_count(group, FrameType::reply, json); }
+void MemberGroups::answer_count(Group& group, const std::string& json) { close_count(group, FrameType::reply, json); }
 
 void MemberGroups::end_count(Group& group, const Status& why) {
-  close_count(group, FrameType::failure, wire::failure_json(why));
+  close_count(group, FrameType::failure, wire::dump_json(wire::failure_json(why)));
 }
 
-void MemberGroups::close_count(Group& group, FrameType type, const Json& json) {
+void MemberGroups::close_count(Group& group, FrameType type, const std::string& json) {
   const auto counting = std::exchange(group.counting, nullptr);
   if (counting == nullptr) return;
   counting->over = true;
   counting->timer.cancel();
   for (const auto& begin : counting->waiting)
-    if (begin) begin->connection->send(type, begin->request, json);
+    if (begin) begin->connection->send_text(type, begin->request, json);
 }
 
 void MemberGroups::open_count(const std::string& scene, std::int64_t step, Group& group) {

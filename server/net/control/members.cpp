@@ -17,10 +17,7 @@ namespace rcb::net {
 using wire::Json;
 
 Json membership_json(const Membership& membership) {
-  return {{"member", membership.member},
-          {"members", membership.members},
-          {"generation", membership.generation},
-          {"follow", membership.follow}};
+  return {{"member", membership.member}, {"members", membership.members}, {"generation", membership.generation}};
 }
 
 Result<std::optional<Membership>> read_membership(const Json& request) {
@@ -30,7 +27,6 @@ Result<std::optional<Membership>> read_membership(const Json& request) {
   Membership asked;
   asked.members = static_cast<int>(fields.integer("members", 1, wire::kSessionsMax));
   asked.member = static_cast<int>(fields.integer("member", 0, asked.members - 1));
-  asked.follow = fields.flag("follow");
   asked.generation = static_cast<std::uint64_t>(fields.integer_or("generation", 1, wire::kIntegerMax - 1, 0));
   if (!fields.ok()) return fields.status();
   return std::optional(asked);
@@ -46,15 +42,6 @@ bool MemberPush::awaits(const Connection* connection) const {
   return std::any_of(contributions.begin(), contributions.end(), [connection](const auto& contribution) {
     return contribution && contribution->connection.get() == connection && !contribution->ready();
   });
-}
-
-bool MemberPush::begun() const {
-  return std::any_of(contributions.begin(), contributions.end(), [](const auto& one) { return one != nullptr; });
-}
-
-bool MemberPush::to_ranks() const {
-  return std::any_of(contributions.begin(), contributions.end(),
-                     [](const auto& one) { return one && one->slices.terms().to_ranks(); });
 }
 
 MemberGroups::MemberGroups(Coordinator& coordinator) : coordinator_(coordinator) {}
@@ -98,20 +85,18 @@ Result<Membership> MemberGroups::join(const std::string& scene, Membership wante
     return Status(Code::invalid_argument, fmt::format("this connection is a member of scene '{}' already", scene),
                   "a connection for each member");
   Group* group = find(scene);
-  if (group != nullptr && (group->seats.size() != members || group->follow != wanted.follow)) {
+  if (group != nullptr && group->seats.size() != members) {
     if (!holders(scene).empty())
       return Status(Code::invalid_argument,
-                    fmt::format("member {} of {}{}, but scene '{}' is open by members of {}{}", wanted.member,
-                                wanted.members, wanted.follow ? " with follow" : "", scene, group->seats.size(),
-                                group->follow ? " with follow" : ""),
-                    "all members say the same 'members' and 'follow'");
+                    fmt::format("member {} of {}, but scene '{}' is open by members of {}", wanted.member,
+                                wanted.members, scene, group->seats.size()),
+                    "all members say the same 'members'");
     groups_.erase(scene);
     group = nullptr;
   }
   if (group == nullptr) {
     group = &groups_[scene];
     group->seats.resize(members);
-    group->follow = wanted.follow;
   }
   Seat& seat = group->seats[static_cast<std::size_t>(wanted.member)];
   if (wanted.generation == 0 && seat.connection != nullptr)
@@ -164,11 +149,6 @@ void MemberGroups::give_back_seat(const std::string& scene, const Connection* co
   leave(scene, connection, "could not open the scene");
   if (Group* group = find(scene); group != nullptr && member)
     group->seats[*member].generation = group->seats[*member].generation_before;
-}
-
-void MemberGroups::close(const std::string& scene, const Connection* connection) {
-  leave(scene, connection, "has closed the scene");
-  if (Group* group = find(scene); group != nullptr && holders(scene).empty()) group->last.reset();
 }
 
 void MemberGroups::leave_all(const Connection* connection) {
@@ -227,13 +207,7 @@ Status MemberGroups::late(const MemberPush& step) const {
 }
 
 void MemberGroups::scene_changed(const std::string& scene) {
-  const scene::Ledger* ledger = coordinator_.scenes().find(scene);
-  Group* group = find(scene);
-  if (group == nullptr) return;
-  if (ledger == nullptr && holders(scene).empty())
-    groups_.erase(scene);
-  else if (ledger == nullptr || !ledger->now().step)
-    group->last.reset();
+  if (!coordinator_.scenes().contains(scene) && holders(scene).empty()) groups_.erase(scene);
 }
 
 }  // namespace rcb::net

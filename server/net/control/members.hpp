@@ -6,8 +6,7 @@
 //    slices from the older connection are refused or dropped from then on.
 // 2. A step of the members ends for all of them at once: it is ordered, or aborted with a message that names the member
 //    at fault.
-// 3. The answers to the last step are kept, so that a member that lost its connection gets its answer when it pushes
-//    that step again. Where the service was started again since, it is the report alone, from the ledger.
+// 3. A member that lost its connection gets the report of the last step when it pushes that step again.
 // Everything runs on the I/O thread.
 #pragma once
 
@@ -34,9 +33,10 @@ struct OpenPush;
 struct Membership {
   int member = 0;
   int members = 1;
-  bool follow = false;
   std::uint64_t generation = 0;  // 0: one above the seat's last generation
 };
+
+inline constexpr const char* kMembersSession = "members";  // of the steps of all members together
 
 wire::Json membership_json(const Membership& membership);
 // The membership that a scene.open asks for; nothing if it asks for none. Errors: invalid_argument.
@@ -53,14 +53,9 @@ struct MemberPush {
   Timer timer;                                           // until the next notice to waiting members
   TimePoint started = now();
   TimePoint end = TimePoint::max();
-  bool refill = false;  // no step: it brings ranks that hold none the particles of the last one
   bool ordered = false;
   bool over = false;  // every contribution is answered
 
-  // Whether there is any contribution: that of the first member may have been withdrawn.
-  bool begun() const;
-  // Whether the contributions come straight to the ranks: all of them do, or none.
-  bool to_ranks() const;
   // Whether this connection has begun a contribution that isn't complete, so that its slices must come next.
   bool awaits(const Connection* connection) const;
   std::string progress() const;  // "2 of 4 members"
@@ -114,8 +109,6 @@ class MemberGroups {
   void leave_all(const Connection* connection);
   // leave() for an open that failed: the generation that join() gave counts as never taken.
   void give_back_seat(const std::string& scene, const Connection* connection);
-  // leave() for a member that has closed the scene. Once all members have, their answers are dropped.
-  void close(const std::string& scene, const Connection* connection);
   // Whether the connection holds a seat of the scene, or held one that a later generation has taken.
   bool knows(const std::string& scene, const Connection* connection) const;
   // "4 members" if any seat of the scene is taken; else "".
@@ -129,7 +122,7 @@ class MemberGroups {
   // Takes a member's count; answers all members once the last one has come. No change of the scene may be under way.
   // Errors: what is wrong with this one; the others go on waiting.
   Status count(CountBegin begin);
-  // To be called when all slices of a contribution have arrived.
+  // To be called when all of a contribution has arrived.
   void contribution_whole(const std::shared_ptr<OpenPush>& contribution);
   // contribution: the one at fault; null: none is.
   void abort(const std::shared_ptr<MemberPush>& step, const OpenPush* contribution, const Status& why);
@@ -146,30 +139,19 @@ class MemberGroups {
     const Connection* connection = nullptr;  // null: free
     std::vector<const Connection*> former;   // lost the seat to a later generation but are still open
   };
-  // The answers to the members' last push.
-  struct Answers {
-    std::int64_t step = 0;
-    std::vector<std::string> sessions;  // session of each member
-    wire::Json json;
-    std::vector<std::vector<wire::Array>> arrays;  // by member
-    std::vector<wire::Array> cuts;                 // for all members that say which cuts they know
-  };
   struct Group {
-    bool follow = false;
     std::shared_ptr<MemberCount> counting;  // null: no step is being counted
     std::vector<Seat> seats;
-    std::optional<Answers> last;
   };
 
-  static constexpr const char* kMembersSession = "members";  // of the steps of all members together
-
   static std::optional<std::size_t> seat_of(const Group& group, const Connection* connection);
-  static Status send_to(const CountBegin& begin, const wire::Json& json);
+  // json: its text.
+  static Status send_to(const CountBegin& begin, const std::string& json);
   void open_count(const std::string& scene, std::int64_t step, Group& group);
   void decide(Group& group, scene::Ledger& ledger);
-  static void close_count(Group& group, wire::FrameType type, const wire::Json& json);
+  static void close_count(Group& group, wire::FrameType type, const std::string& json);
   // Both end the counting, if there is any.
-  static void answer_count(Group& group, const wire::Json& json);
+  static void answer_count(Group& group, const std::string& json);
   static void end_count(Group& group, const Status& why);
   std::string missing(const std::string& scene, const MemberCount& counting) const;
   awaitable<void> watch_count(std::shared_ptr<Coordinator> self, std::string scene,
@@ -180,22 +162,15 @@ class MemberGroups {
   std::string name(const std::string& scene, std::size_t member) const;
   std::string missing(const MemberPush& step) const;
   std::string names_of(const std::string& scene, std::span<const std::size_t> members) const;  // of eight, at most
-  // Answers a push.begin of the last step. False: this session has not pushed that.
-  bool answer_again(const Group& group, const scene::Ledger& ledger, std::size_t member,
-                    const ContributionBegin& begin);
-  static void send(const Answers& answers, std::size_t member, Connection& connection, std::uint64_t request,
-                   const wire::Json& begin, bool repeated);
-  Result<PushTerms> read_terms(const ContributionBegin& begin, const scene::SceneState& info,
-                               const MemberPush* step) const;
-  // Member `because_of` pushes by ids: asks the members that use the direct path to push by ids, too.
-  void withdraw_direct(MemberPush& step, std::size_t because_of);
-  // Takes out a member's contribution, which is answered with `why`.
-  void withdraw(MemberPush& step, std::size_t member, const Status& why);
-  // For the direct path, when all members have begun: the counts of the members must add up to each rank's particles.
-  Status check_counts(const MemberPush& step) const;
+  // Answers a member's push.begin with the step's answer.
+  static void send(const OpenPush& contribution, const Answer& answer);
+  // Takes out a contribution that a newer attempt replaces.
+  void withdraw(OpenPush& contribution);
+  // When all members have begun: what they bring must fit together. Errors: invalid_argument, not_conserved.
+  Status check_together(const MemberPush& step) const;
   std::shared_ptr<MemberPush> open_step(const std::string& scene, std::int64_t step, const Group& group);
   void order(const std::shared_ptr<MemberPush>& step);
-  void answered(const std::shared_ptr<MemberPush>& step, Answer answer);
+  void answered(const std::shared_ptr<MemberPush>& step, const Answer& answer);
   awaitable<void> watch(std::shared_ptr<Coordinator> self, std::shared_ptr<MemberPush> step);
 
   Coordinator& coordinator_;

@@ -242,7 +242,7 @@ bool Session::answer_here(const Request& request) {
     else if (open_.erase(*scene) == 0)
       fail(request.number, {Code::not_found, fmt::format("this connection doesn't have scene '{}' open", *scene)});
     else {
-      coordinator_->groups().close(*scene, connection_.get());
+      coordinator_->groups().leave(*scene, connection_.get(), "has closed the scene");
       connection_->send(FrameType::reply, request.number, Json::object());
     }
   } else {

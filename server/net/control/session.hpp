@@ -125,9 +125,11 @@ class Session : public std::enable_shared_from_this<Session> {
   awaitable<void> push_begin(Request& request);
   // Handles the push.begin of a connection that has opened the scene as a member.
   awaitable<void> begin_contribution(Request& request, const PushId& id);
-  // Opens the direct path of the push.
+  // Opens the direct path of the push; it is ordered when the ranks have their rows.
   void begin_directly(const std::shared_ptr<OpenPush>& push);
   Result<std::shared_ptr<OpenPush>> admit_push(const Request& request, const PushId& id);
+  // Whether a client that came by this endpoint may push on this path. Errors: unsupported, not_authorised.
+  Status check_path(const wire::Json& begin, const PushId& id) const;
   Status push_conflict(const SceneGate& gate, const PushId& id);
   awaitable<Status> push_slice(Frame frame);
   // Reads the bulk of a slice into its arrays. If the push is aborted meanwhile, the rest is read and dropped.

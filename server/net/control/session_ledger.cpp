@@ -178,7 +178,7 @@ void Session::answer_count(const Request& request, const scene::Ledger& ledger, 
   if (const auto* refused = std::get_if<Status>(&is)) return fail(request.number, *refused);
   if (const auto* again = std::get_if<scene::CountVerdict::Repeated>(&is))
     return send_later(request, api::repeated(ledger, again->number));
-  connection_->send(FrameType::reply, request.number, api::verdict_json(ledger, verdict));
+  connection_->send_text(FrameType::reply, request.number, api::verdict_text(ledger, verdict));
 }
 
 }  // namespace rcb::net

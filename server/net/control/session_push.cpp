@@ -7,6 +7,7 @@
 #include <spdlog/spdlog.h>
 
 #include "server/api/ledger_answers.hpp"
+#include "server/net/control/push_order.hpp"
 #include "server/net/control/session.hpp"
 
 namespace rcb::net {
@@ -18,9 +19,16 @@ namespace {
 // Bytes reserved at once; beyond that, the array grows as bytes arrive.
 constexpr std::size_t kRoomAtOnce = std::size_t{64} << 20U;
 
-Status foreign_memory() { return {Code::not_authorised, "a push from shared memory is of the session that shares it"}; }
-
 }  // namespace
+
+Status Session::check_path(const Json& begin, const PushId& id) const {
+  const Json path = begin.value("path", Json());
+  if (path != "direct" && path != "shared") return {};
+  if (coordinator_->data_addresses(entrance_.endpoint).empty())
+    return {Code::unsupported, "this endpoint has no direct path", "push by the path \"gateway\""};
+  if (path == "direct" || id.session == number_) return {};
+  return {Code::not_authorised, "a push from shared memory is of the session that shares it"};
+}
 
 Status Session::push_conflict(const SceneGate& gate, const PushId& id) {
   if (Status free = coordinator_->groups().check_free(id.scene); !free.ok()) return free;
@@ -52,8 +60,7 @@ awaitable<void> Session::push_begin(Request& request) {
     SceneGate& now_at = coordinator_->gate(id->scene);  // the abort may have erased the gate
     status = co_await wait_turn(request, id->scene, [&now_at] { return now_at.changes_unfinished == 0; });
   }
-  const bool step = status.ok() && !wire::is_true(request.json, "refill");
-  if (const scene::Ledger* ledger = step ? coordinator_->scenes().find(id->scene) : nullptr)
+  if (const scene::Ledger* ledger = status.ok() ? coordinator_->scenes().find(id->scene) : nullptr)
     if (const auto number = ledger->repeated(id->session, id->step)) {
       coordinator_->wake_queue(id->scene);
       refuse_slices(request.command, request.json);
@@ -67,10 +74,9 @@ awaitable<void> Session::push_begin(Request& request) {
   }
   coordinator_->wake_queue(id->scene);
   if (!status.ok()) refuse(request, status);
-  if (push && push->slices.terms().direct())
-    begin_directly(push);
-  else if (push && push->slices.whole())
-    co_await order_push(push);
+  if (!push) co_return;
+  if (push->slices.terms().direct()) begin_directly(push);
+  if (push->ready()) co_await order_push(push);
 }
 
 awaitable<void> Session::begin_contribution(Request& request, const PushId& id) {
@@ -78,11 +84,8 @@ awaitable<void> Session::begin_contribution(Request& request, const PushId& id) 
   const auto ready = [&gate] { return gate.changes_unfinished == 0 && !gate.push; };
   const auto joins = [&gate] { return gate.push && gate.push->round; };
   Status status = co_await wait_turn(request, id.scene, ready, joins);
-  const Json path = request.json.value("path", Json());
   const bool slices = may_bring_slices(request.json);
-  if (status.ok() && (path == "direct" || path == "shared") && coordinator_->data_addresses(entrance_.endpoint).empty())
-    status = Status(Code::unsupported, "this endpoint has no direct path", "push in order \"id\"");
-  if (status.ok() && path == "shared" && id.session != number_) status = foreign_memory();
+  if (status.ok()) status = check_path(request.json, id);
   if (status.ok())
     status = coordinator_->groups().begin(
         {id, connection_, client_, request.number, std::move(request.json), request.end, request.held});
@@ -114,18 +117,10 @@ Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, co
   if (gate.push) coordinator_->abort(gate.push, {Code::aborted, "a newer attempt of the same session replaced it"});
   const scene::Ledger* ledger = coordinator_->scenes().find(id.scene);
   if (ledger == nullptr) return coordinator_->unknown_scene(id.scene);
-  const auto& last = ledger->now().step;
-  if (wire::is_true(request.json, "refill")) {
-    if (ledger->now().filled || id.step != last) return not_lacking(id);
-  } else if (last && id.step <= *last) {
-    return scene::stale_step(id.scene, id.step, *last);
-  }
+  if (Status path = check_path(request.json, id); !path.ok()) return path;
   Result<PushTerms> terms = read_push_terms(request.json, id, ledger->now(), coordinator_->options().ranks,
                                             coordinator_->options().bulk_bytes_max);
   if (!terms.ok()) return terms.status();
-  if (terms->to_ranks() && coordinator_->data_addresses(entrance_.endpoint).empty())
-    return Status(Code::unsupported, "this endpoint has no direct path", "push by the path \"gateway\"");
-  if (terms->from_memory() && id.session != number_) return foreign_memory();
   const double left = std::chrono::duration<double>(request.end - now()).count();
   auto push = coordinator_->open_push(std::move(*terms), connection_, client_, left);
   push->request = request.number;
@@ -146,14 +141,10 @@ awaitable<Status> Session::push_slice(Frame frame) {
   }
   Status status = co_await receive(frame, push, *slice);
   if (!status.ok() || push->given_up) co_return status;
-  status = push->slices.add(std::move(*slice));
-  if (!status.ok()) {
-    coordinator_->abort(push, status);
-    co_return Status();
-  }
-  if (push->round && push->slices.whole())
+  push->slices.add(std::move(*slice));
+  if (push->round)
     coordinator_->groups().contribution_whole(push);
-  else if (push->ready())
+  else
     co_await order_push(push);
   co_return Status();
 }
@@ -202,25 +193,18 @@ awaitable<Status> Session::check_sum(const Frame& frame, const wire::BulkChecksu
 
 awaitable<void> Session::order_push(std::shared_ptr<OpenPush> push) {
   if (push->closed) co_return;  // aborted since it was complete
-  const PushTerms& terms = push->slices.terms();
-  Request request{push->request, api::find_command("push.begin"), "push", std::move(push->begin), 0, push->end};
+  const PushId id = push->slices.terms().id;
+  Request request{push->request, api::find_command("push.begin"), "push", {{"scene", id.scene}}, 0, push->end};
   request.deadline_seconds = std::max(std::chrono::duration<double>(push->end - push->started).count(), 0.0);
-  request.json["command"] = "push";
-  request.json["session"] = terms.id.session;
-  if (push->number != 0) request.json["staged"] = push->number;
-  coordinator_->add_terms(request.json, terms.step_seconds);
-  OrderOptions order;
-  order.slices = push->slices.take();
+  auto [json, order] = order_of(std::span(&push, 1), 0, *coordinator_->scenes().find(id.scene));
+  json["deadline_seconds"] = order.deadline_seconds = request.deadline_seconds;
   order.received_seconds = seconds_since(push->started);
-  order.deadline_seconds = request.deadline_seconds;
-  order.charged_bytes = std::exchange(push->charged_bytes, 0);
   order.held = std::move(push->held);
-  order.changes = terms.id.scene;  // the next push waits for this commit
   coordinator_->close_push(push);
-  Result<std::shared_ptr<Pending>> pending = coordinator_->order(request.json, std::move(order));
-  coordinator_->erase_gate_if_unused(terms.id.scene);
+  Result<std::shared_ptr<Pending>> pending = coordinator_->order(std::move(json), std::move(order));
+  coordinator_->erase_gate_if_unused(id.scene);
   if (pending.ok()) co_return co_await reply_when_done(request, *pending);
-  if (push->number != 0) coordinator_->refuse_directly(terms.id);
+  if (push->number != 0) coordinator_->refuse_directly(id);
   fail(request.number, pending.status());
 }
 

@@ -138,6 +138,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
       co_return Status(Code::protocol_error, "a data connection takes push.slice, memory.share and memory.drop alone");
     const auto id = read_push_id(frame.json, "");
     if (!id.ok()) co_return Status(Code::protocol_error, id.status().message());
+    if (frame.header.bulk_bytes == 0) co_return co_await connection->skip_bulk(frame, 0);  // may be of no opened push
     const auto push = co_await await_push(*id, *connection);
     if (!push || push->over) co_return co_await connection->skip_bulk(frame, frame.header.bulk_bytes);
     if (push->connection != nullptr && push->connection != connection.get()) {
@@ -165,19 +166,13 @@ struct DataPort::State : std::enable_shared_from_this<State> {
     if (!fields.ok()) return fields.status();
     if (rank != options.rank)
       return Status(Code::invalid_argument, fmt::format("the slice of rank {} came to rank {}", rank, options.rank));
-    const auto plan = read_plan(frame.json);
-    if (!plan.ok()) return plan.status();
-    if (*plan != terms.plan)
-      return Status(Code::stale_plan, fmt::format("the slice of rank {} follows another plan than its push", rank),
-                    "fetch the plan and push again");
     if (first != push.have)
       return Status(Code::invalid_argument,
-                    fmt::format("the slice of rank {} goes on at slot {}, expected {}", rank, first, push.have));
+                    fmt::format("the slice of rank {} goes on at row {}, expected {}", rank, first, push.have));
     if (count > terms.n - push.have)
-      return Status(Code::stale_plan,
-                    fmt::format("the slice of rank {} has more than the {} particles of the plan", rank, terms.n),
-                    "fetch the plan and push again");
-    return make_slice(frame.json, frame.header.bulk_bytes, terms, options.rank, count);
+      return Status(Code::invalid_argument,
+                    fmt::format("the slice of rank {} has more than the {} particles of 'counts'", rank, terms.n));
+    return make_slice(frame.json, frame.header.bulk_bytes, terms, count);
   }
 
   awaitable<Status> receive(const std::shared_ptr<Connection>& connection, const Frame& frame,
@@ -277,7 +272,7 @@ void DataPort::drop(const PushId& id) {
   state_->wake();
 }
 
-std::vector<Slice> DataPort::take(std::uint64_t number) { return state_->slices.take(number); }
+std::optional<Slice> DataPort::take(std::uint64_t number) { return state_->slices.take(number); }
 
 void DataPort::tick() {
   state_->unix_listener.look();

@@ -5,7 +5,7 @@
 // share with the rank, from which later pushes are read.
 //
 // Invariants (more stand with the parts: incoming_slices.hpp, shared_memories.hpp)
-// 1. A slice is received only for a push that the coordinator has opened, from one connection, in order of its slots.
+// 1. A slice is received only for a push that the coordinator has opened, from one connection, in order of its rows.
 //    Slices of another, unknown or ended push are read and dropped; a slice that comes before its push is opened stays
 //    unread for at most `unknown_seconds`.
 // Everything but recycle() runs on the I/O thread.
@@ -14,6 +14,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -57,8 +58,8 @@ class DataPort {
   void drop(const PushId& id);
   // To be called every kTickSeconds: reports how many bytes of incomplete slices have come.
   void tick();
-  // The slice of the order's push; empty if there is none.
-  std::vector<Slice> take(std::uint64_t number);
+  // The slice of the order's push, if there is any.
+  std::optional<Slice> take(std::uint64_t number);
   // The memory that a session shares under this number; null if there is none.
   std::shared_ptr<const SharedMemory> memory(const std::string& session, std::int64_t number) const;
   int rank() const;

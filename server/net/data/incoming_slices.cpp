@@ -61,8 +61,7 @@ void IncomingSlices::open(PushTicket ticket) {
   auto push = std::make_shared<Incoming>();
   push->ticket = std::move(ticket);
   const PushTerms& terms = push->ticket.terms;
-  const std::size_t arrays =
-      static_cast<std::size_t>(terms.dims) + (terms.weights ? 1U : 0U) + (terms.last_array() ? 1U : 0U);
+  const std::size_t arrays = static_cast<std::size_t>(terms.dims) + (terms.weights ? 1U : 0U) + (terms.ids ? 1U : 0U);
   bool fits = true;
   for (std::size_t a = 0; a < arrays && fits; ++a) {
     Buffer<std::byte> buffer = pool_.take(terms.id.scene);
@@ -72,7 +71,7 @@ void IncomingSlices::open(PushTicket ticket) {
     if (fits) buffer.resize(terms.n * 8);
     push->arrays.push_back(std::move(buffer));
   }
-  if (terms.moved == Moved::all) fits = fits && push->ranges.try_reset(terms.dims, terms.n);
+  fits = fits && push->ranges.try_reset(terms.dims, terms.n);
   ended_.erase(terms.id);  // the client repeats an attempt that had ended
   pushes_[push->ticket.number] = push;
   if (!fits)
@@ -90,27 +89,22 @@ void IncomingSlices::drop(const PushId& id) {
   remember_ended(id);
 }
 
-std::vector<Slice> IncomingSlices::take(std::uint64_t number) {
+std::optional<Slice> IncomingSlices::take(std::uint64_t number) {
   const auto found = pushes_.find(number);
-  if (found == pushes_.end()) return {};
+  if (found == pushes_.end()) return std::nullopt;
   const std::shared_ptr<Incoming> push = found->second;
   pushes_.erase(found);
   const PushTerms& terms = push->ticket.terms;
   remember_ended(terms.id);
-  if (push->have != terms.n) return {};
-  std::vector<Slice> slices(1);
-  slices[0].rank = rank_;
-  slices[0].count = terms.n;
-  slices[0].ranges = std::move(push->ranges);
+  if (push->have != terms.n) return std::nullopt;
+  Slice slice{.count = terms.n, .ranges = std::move(push->ranges)};
   for (std::size_t a = 0; a < push->arrays.size(); ++a) {
     const bool axis = a < static_cast<std::size_t>(terms.dims);
     const bool weight = !axis && terms.weights && a == static_cast<std::size_t>(terms.dims);
-    const bool slots = terms.moved == Moved::some;
-    const char* name = axis ? kAxisNames[a] : weight ? "w" : slots ? "slot" : "id";
-    const char* dtype = axis || weight ? "<f8" : slots ? "<u8" : "<i8";
-    slices[0].arrays.push_back({name, dtype, {terms.n}, std::move(push->arrays[a])});
+    const char* name = axis ? kAxisNames[a] : weight ? "w" : "id";
+    slice.arrays.push_back({name, axis || weight ? "<f8" : "<i8", {terms.n}, std::move(push->arrays[a])});
   }
-  return slices;
+  return slice;
 }
 
 }  // namespace rcb::net

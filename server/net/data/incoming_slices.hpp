@@ -14,6 +14,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
@@ -28,7 +29,7 @@ namespace rcb::net {
 struct Incoming {
   PushTicket ticket;
   std::vector<Buffer<std::byte>> arrays;   // each of the whole slice's size
-  particles::BlockRanges ranges;           // of the positions that have come; unless only some moved
+  particles::BlockRanges ranges;           // of the positions that have come
   std::uint64_t have = 0;                  // particles complete so far
   const Connection* connection = nullptr;  // the one that brings the slice
   std::uint64_t connection_bytes = 0;      // received on it before this slice
@@ -54,8 +55,8 @@ class IncomingSlices {
   // Reports the bytes that have come if they are at least `more` above the last report.
   void tell(Incoming& push, std::uint64_t more);
   void tell_all();
-  // The slice of the order's push; empty if there is none.
-  std::vector<Slice> take(std::uint64_t number);
+  // The slice of the order's push, if there is any.
+  std::optional<Slice> take(std::uint64_t number);
 
   // Of the pushes that have ended, the latest are remembered.
   void remember_ended(const PushId& id);

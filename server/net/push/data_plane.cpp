@@ -21,31 +21,25 @@ wire::Json ticket_json(const PushTicket& ticket, std::uint64_t count) {
           {"session", terms.id.session},
           {"step", terms.id.step},
           {"attempt", terms.id.attempt},
-          {"plan", {{"version", terms.plan.version}, {"checksum", wire::hex64(terms.plan.checksum)}}},
           {"n", count},
           {"dims", terms.dims},
           {"ranks", terms.ranks},
           {"weights", terms.weights},
           {"ids", terms.ids},
-          {"some", terms.moved == Moved::some},
           {"single", terms.is_float32}};
 }
 
 Result<PushTicket> read_ticket(const wire::Json& json) {
   Result<PushId> id = read_push_id(json, "");
   if (!id.ok()) return id.status();
-  const auto plan = read_plan(json);
-  if (!plan.ok()) return plan.status();
   PushTicket ticket;
   ticket.number = json.value("number", std::uint64_t{0});
   ticket.terms.id = std::move(*id);
-  ticket.terms.plan = *plan;
   ticket.terms.n = json.value("n", std::uint64_t{0});
   ticket.terms.dims = json.value("dims", 3);
   ticket.terms.ranks = json.value("ranks", 1);
   ticket.terms.weights = json.value("weights", false);
   ticket.terms.ids = json.value("ids", false);
-  ticket.terms.moved = json.value("some", false) ? Moved::some : Moved::all;
   ticket.terms.is_float32 = json.value("single", false);
   return ticket;
 }

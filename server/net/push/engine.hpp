@@ -25,10 +25,8 @@ namespace rcb::net {
 using api::Slice;
 
 struct Order {
-  // "command" and its arguments. "staged": number of the direct push whose slices lie at the ranks, or an array of the
-  // numbers of all members' contributions.
-  wire::Json request;
-  std::string text;  // `request` as text, at most kJsonBytesMax bytes
+  wire::Json request;  // "command" and its arguments
+  std::string text;    // `request` as text, at most kJsonBytesMax bytes
   std::vector<Slice> slices;
   double received_seconds = 0;
   double deadline_seconds = 60;

@@ -1,15 +1,13 @@
 // Room `push`: a push as the socket side sees it, and the interface to the engine (engine.hpp). No sockets here.
 //
-// Push: what a push.begin announces, and the slices that must follow it.
+// Push: what a push.begin announces, and the slice that follows it on the same connection, if any does.
 //
-// Invariants
-// 1. Every size is checked against limits and the announcement before memory is reserved for it, and memory grows with
-//    the bytes that arrive: an announcement alone costs nothing.
-// 2. A push is complete when all announced slices have come and their particles add up to the announced number.
+// Invariant: every size is checked against limits and the announcement before memory is reserved for it, and memory
+// grows with the bytes that arrive: an announcement alone costs nothing.
 #pragma once
 
 #include <cstdint>
-#include <set>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -23,46 +21,35 @@
 
 namespace rcb::net {
 
-using api::Moved;
-using api::PlanId;
 using api::PushId;
-using api::read_plan;
 using api::read_push_id;
 
 // A push.begin that was admitted, and what is known of its scene.
 struct PushTerms : api::Push {
   int ranks = 1;
   int dims = 3;
-  bool scene_weights = false;  // the scene has weights, so inserted particles must have some
 
-  bool last_array() const { return ids || moved == Moved::some; }  // ids or slots, after positions and weights
-  std::uint64_t edit_slices() const { return (inserted > 0 ? 1U : 0U) + (removed > 0 ? 1U : 0U); }
-  std::uint64_t bytes() const;  // of all arrays in memory; at most 2^55
+  // Of all arrays in memory; at most 2^54.
+  std::uint64_t bytes() const { return 8 * n * (static_cast<unsigned>(dims) + (weights ? 1U : 0U) + (ids ? 1U : 0U)); }
 };
 
-// A client pushes all particles of the scene, a member of a parallel solver only its own.
-enum class Pusher { client, member };
-
-// Reads a push.begin of a new step and checks it against what is known of its scene.
-// Errors: invalid_argument, base_lost, stale_plan, too_large, unsupported.
+// Reads a push.begin and checks it against what is known of its scene. members: that push the scene together; 0: one
+// client alone. Errors: invalid_argument, not_found, stale_step, not_conserved, too_large, unsupported.
 Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const scene::SceneState& scene,
-                                  int ranks, std::uint64_t bytes_max, Pusher pusher = Pusher::client);
+                                  int ranks, std::uint64_t bytes_max, std::size_t members = 0);
 
 // Whether slices for the ranks may follow this push.begin on connections of their own, though it was refused.
-// Refusal of a refill.
-Status not_lacking(const PushId& id);
-
 bool may_bring_slices(const wire::Json& request);
 
-// A slice of `count` particles with the arrays that the terms require, still without bytes.
+// A slice of `count` rows with the arrays that the terms require, still without bytes.
 // Errors: invalid_argument, protocol_error (the connection must end).
-Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, const PushTerms& terms, int rank,
+Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, const PushTerms& terms,
                          std::uint64_t count);
 
 // Converts float32 to double, which is exact. `floats` may be the last half of `doubles`.
 void widen(std::span<const std::byte> floats, std::span<std::byte> doubles);
 
-// The slices of a push that have arrived.
+// What comes of a push through the endpoint: one slice, unless its rows go to the ranks or it has none.
 class PushSlices {
  public:
   explicit PushSlices(PushTerms terms) : terms_(std::move(terms)) {}
@@ -71,17 +58,14 @@ class PushSlices {
   // The slice that a push.slice announces, its arrays without bytes. Changes nothing. Errors: invalid_argument,
   // protocol_error (the connection must end).
   Result<Slice> begin_slice(const wire::Json& request, std::uint64_t bulk_bytes) const;
-  // Adds a slice whose arrays are filled. Errors: invalid_argument (the counts don't add up).
-  Status add(Slice slice);
-  bool whole() const { return slices_.size() == terms_.slices; }
-  std::string progress() const;  // "2 of 4 slices"
-  std::vector<Slice> take() { return std::move(slices_); }
+  // Its arrays are filled.
+  void add(Slice slice) { slice_ = std::move(slice); }
+  bool whole() const { return slice_ || terms_.n == 0 || terms_.to_ranks(); }
+  std::optional<Slice> take() { return std::exchange(slice_, std::nullopt); }
 
  private:
   PushTerms terms_;
-  std::vector<Slice> slices_;
-  std::set<int> ranks_;
-  std::uint64_t count_ = 0;
+  std::optional<Slice> slice_;
 };
 
 }  // namespace rcb::net

@@ -17,17 +17,17 @@ TEST(Commands, HaveOneEntryEach) {
     EXPECT_EQ(find_command(command.name), &command);
     EXPECT_EQ(std::set(command.fields.begin(), command.fields.end()).size(), command.fields.size()) << command.name;
   }
-  for (const char* inside : {"push", "push.members", "", "push.slice"}) EXPECT_EQ(find_command(inside), nullptr);
+  for (const char* inside : {"push", "plan", "", "push.slice"}) EXPECT_EQ(find_command(inside), nullptr);
 }
 
 TEST(Commands, NoFieldOfTheInsideIsKept) {
   for (const CommandInfo& command : commands()) {
-    Json request{{"command", command.name}, {"deadline_seconds", 1}, {"staged", 1},
+    Json request{{"command", command.name}, {"deadline_seconds", 1}, {"blocks", 1},
                  {"unmoved", {1}},          {"membership", {}},      {"unknown", Json::object()}};
     for (const std::string_view field : command.fields) request[std::string(field)] = 1;
     keep_known_fields(request, command);
     EXPECT_EQ(request.size(), command.fields.size() + 2) << request;
-    EXPECT_FALSE(request.contains("staged"));
+    EXPECT_FALSE(request.contains("blocks"));
   }
 }
 

@@ -24,8 +24,8 @@ inline constexpr const char* kBert = "00000000000000bb";
 inline constexpr std::uint64_t kCutsHash = 0xc075;  // of every scene after its first push; their epoch is 1
 
 // Executes orders one by one on its own thread. Knows scene.create, scene.drop, push (after which all parts have
-// equally many particles, or one more; a refill is none), scene.restore (but of "refused") and fetch (an answer with as many doubles as the scene's name says: "n1000");
-// anything else is answered with {"echo": command}.
+// equally many particles, or one more), scene.restore (but of "refused") and fetch (an answer with as many doubles as
+// the scene's name says: "n1000"); anything else is answered with {"echo": command}.
 class FakeEngine final : public Engine {
  public:
   FakeEngine();
@@ -83,8 +83,8 @@ class Client {
   Received hello(const std::string& name, const std::string& session, const std::string& token = {},
                  const std::string& listener = "endpoint");
   void begin(const std::string& session, std::int64_t step, std::uint64_t n, wire::Json more = wire::Json::object());
-  // Axis values are rank + i, of `dims` axes; the bulk as it was sent.
-  std::string slice(const std::string& session, std::int64_t step, std::uint64_t count, int rank = 0,
+  // Of two axes, with the values 0, 1, ...; the bulk as it was sent.
+  std::string slice(const std::string& session, std::int64_t step, std::uint64_t count,
                     wire::Json more = wire::Json::object(), bool checked = false);
   void close();
 

@@ -238,7 +238,7 @@ Result<CountRecord> counted(Random& random, const particles::ParticleView& parti
     tally.put(seat, *record);
   }
   EXPECT_TRUE(tally.whole());
-  return tally.sum();
+  return tally.sum(4);
 }
 
 TEST(Count, GivesTheLoadsOfThePositionsHoweverManySeatsCount) {
@@ -275,6 +275,27 @@ TEST(Count, GivesTheLoadsOfThePositionsHoweverManySeatsCount) {
     EXPECT_EQ(record->id_sum, id_sum);
     EXPECT_EQ(record->n, view.count);
   }
+}
+
+TEST(Count, StrangersAreInPartsOfOtherSeats) {
+  const auto strangers = [](int parts, const std::vector<std::vector<std::uint64_t>>& by_seat) {
+    scene::Tally tally(1, by_seat.size());
+    for (std::size_t seat = 0; seat < by_seat.size(); ++seat) {
+      scene::CountRecord record;
+      record.id_sum = 0;
+      for (std::size_t p = 0; p < by_seat[seat].size(); ++p) {
+        record.parts.push_back(static_cast<std::int32_t>(p));
+        record.counts.push_back(by_seat[seat][p]);
+        record.n += by_seat[seat][p];
+      }
+      tally.put(seat, record);
+    }
+    return tally.sum(parts)->strangers;
+  };
+  EXPECT_EQ(strangers(5, {{1, 2, 4, 8, 16}}), 0U);
+  EXPECT_EQ(strangers(5, {{1, 2, 4, 8, 16}, {32, 64, 128, 256, 512}}), 4U + 8 + 16 + 32 + 64);  // parts 0 1, 2 3 4
+  EXPECT_EQ(strangers(5, {{1, 2}, {4, 8}, {0, 0, 0, 16}}), 2U + 4);                             // 0, 1 2, 3 4
+  EXPECT_EQ(strangers(1, {{1}, {2}, {4}}), 3U);                                                 // none, none, 0
 }
 
 TEST(Count, OfSeatsThatDisagreeIsOfNoUse) {

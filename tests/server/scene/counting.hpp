@@ -111,7 +111,7 @@ inline std::string ask(scene::Ledger& ledger, const std::vector<CountRequest>& s
     if (!record.ok()) return fmt::format("malformed {}", code_name(record.status().code()));
     tally.put(seat, *record);
   }
-  if (seats.size() > 1) record = tally.sum();
+  if (seats.size() > 1) record = tally.sum(ledger.now().options.parts);
   if (!record.ok()) return fmt::format("malformed {}", code_name(record.status().code()));
   return in_words(ledger.count(*record));
 }

@@ -76,7 +76,7 @@ class TwoLedgers {
 
   Ledger& lazy() { return *ledgers_->find("jet"); }
 
-  // The service has died, and another takes up what it has kept; a client brings the particles of the last step.
+  // The service has died, and another takes up what it has kept.
   // before: the ranks without this step, if they have taken it.
   void restart(const Ranks* before = nullptr) {
     disk_->live();
@@ -85,7 +85,6 @@ class TwoLedgers {
     const bool committed = lazy().now().step == step_;
     ++(committed ? seen_.died_after : seen_.died_before);
     if (before != nullptr && !committed) lazy_ranks_ = *before;
-    lazy().take(scene::Refilled{lazy_ranks_.held()});
     remembered_ = lazy().history().total() - 1;
     if (committed)
       positions_lost_ = true;

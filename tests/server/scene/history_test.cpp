@@ -45,7 +45,7 @@ struct Scene {
   void add(std::int64_t from, std::int64_t to) {
     for (std::int64_t step = from; step < to; ++step) {
       const StepReport report = report_of(step);
-      history.add(report, to_json(report), &journal);
+      history.add(report, wire::dump_json(to_json(report)), &journal);
     }
   }
   SceneFolder folder;
@@ -223,7 +223,7 @@ TEST(History, OfAnEarlierServiceIsInTheJournal) {
   FoundReports old = found_by(history.reading(0, 52, &again));
   EXPECT_EQ(steps_of(old), range(0, 50));
   EXPECT_EQ(old.loss, "the disk was full");
-  history.add(report_of(52), to_json(report_of(52)), &again);
+  history.add(report_of(52), wire::dump_json(to_json(report_of(52))), &again);
   old = found_by(history.reading(48, 53, &again));
   EXPECT_EQ(steps_of(old), (std::vector<std::int64_t>{48, 49, 52}));
 }

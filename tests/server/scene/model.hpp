@@ -105,13 +105,14 @@ class Ranks {
     held.weights = particles_.has_weights;
     held.ids = held.n > 0 && particles_.id[0] != 0;
     held.epoch = epoch_;
+    held.id_sum = 0;
+    for (const particles::Id id : particles_.id) *held.id_sum += mix64(static_cast<std::uint64_t>(id));
     if (epoch_ == 0) return held;
     held.hash = tree_.hash();
     held.tree = std::make_shared<const cuts::CutTree>(tree_);
     held.search_rounds = 3 * epoch_;
     held.search_reductions = 2 * epoch_;
     held.loads = std::make_shared<const partition::LoadSummary>(loads_);
-    held.rank_counts = {held.n};
     return held;
   }
 

@@ -67,13 +67,8 @@ class Count : public ::testing::Test {
   // With weights, all of them 0, which the engine doesn't heed.
   void push_weighted(std::int64_t step) {
     begin(anna_, kAnna, step, {{"weights", true}});
-    Json slice{{"command", "push.slice"},
-               {"scene", "s"},
-               {"session", kAnna},
-               {"step", step},
-               {"attempt", 1},
-               {"rank", 0},
-               {"count", 10}};
+    Json slice{
+        {"command", "push.slice"}, {"scene", "s"}, {"session", kAnna}, {"step", step}, {"attempt", 1}, {"count", 10}};
     for (const char* name : {"x", "y", "w"})
       slice["arrays"].push_back({{"name", name}, {"dtype", "<f8"}, {"shape", {10}}});
     anna_.send(FrameType::request, slice, std::string(240, '\0'));
@@ -213,7 +208,7 @@ TEST_F(Count, AnEveryStepSceneHasItsPositionsSent) {
   create("e", {{"positions", "every-step"}});
   Record one = record(0, {{"scene", "e"}});
   begin(anna_, kAnna, 0, {{"scene", "e"}});
-  anna_.slice(kAnna, 0, 10, 0, {{"scene", "e"}});
+  anna_.slice(kAnna, 0, 10, {{"scene", "e"}});
   EXPECT_EQ(anna_.receive_but_notices().json["report"]["step"], 0);
   one.json["step"] = 1;
   EXPECT_TRUE(count(anna_, one).json.contains("send"));

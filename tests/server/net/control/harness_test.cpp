@@ -64,11 +64,6 @@ struct FakeEngine::State {
       scenes[scene] = *scene::read_options(order.request);
       slices = std::move(order.slices);
       if (scene == "refused") answer.status = Status(Code::too_large, "no memory for it");
-    } else if (command == "push" && order.request.contains("refill")) {
-      executed.back() = fmt::format("refill step {}", order.request.value("step", -1));
-      slices = std::move(order.slices);
-      answer.json = {{"refilled", true}};
-      answer.change = {scene, scene::Refilled{push(order.request, scenes[scene]).held}};
     } else if (command == "push") {
       scene::Stepped stepped = push(order.request, scenes[scene]);
       executed.back() += fmt::format(" step {}", stepped.report.step);
@@ -93,7 +88,6 @@ struct FakeEngine::State {
     stepped.held.weights = request.value("weights", false);
     stepped.held.epoch = 1;
     stepped.held.hash = kCutsHash;
-    stepped.held.plan_version = 1;
     auto counts = partition::quotas(stepped.held.n, options.part_sizes, options.parts);
     stepped.held.loads = std::make_shared<const partition::LoadSummary>(
         partition::summarise_counts(std::move(counts), options.part_sizes));
@@ -312,22 +306,19 @@ Received Client::hello(const std::string& name, const std::string& session, cons
 }
 
 void Client::begin(const std::string& session, std::int64_t step, std::uint64_t n, Json more) {
-  Json json{{"scene", "s"}, {"session", session}, {"step", step}, {"attempt", 1},
-            {"n", n},       {"slices", 1},        {"order", "id"}};
+  Json json{{"scene", "s"}, {"session", session}, {"step", step}, {"attempt", 1}, {"n", n}};
   json.update(more);
   request("push.begin", std::move(json));
 }
 
-std::string Client::slice(const std::string& session, std::int64_t step, std::uint64_t count, int rank, Json more,
-                          bool checked) {
-  Json json{
-      {"command", "push.slice"}, {"scene", "s"}, {"session", session}, {"step", step}, {"attempt", 1}, {"rank", rank},
-      {"count", count}};
+std::string Client::slice(const std::string& session, std::int64_t step, std::uint64_t count, Json more, bool checked) {
+  Json json{{"command", "push.slice"}, {"scene", "s"}, {"session", session}, {"step", step}, {"attempt", 1},
+            {"count", count}};
   std::string bulk;
   for (const char* axis : {"x", "y"}) {
     json["arrays"].push_back({{"name", axis}, {"dtype", "<f8"}, {"shape", {count}}});
     for (std::uint64_t i = 0; i < count; ++i) {
-      const double value = rank + static_cast<double>(i);
+      const auto value = static_cast<double>(i);
       bulk.append(reinterpret_cast<const char*>(&value), sizeof(value));
     }
   }

@@ -1,5 +1,5 @@
 // A service that is started where an earlier one has left its scenes: they are there before anybody is let in, told of
-// by the ledger, and lack particles until a refill brings them.
+// by the ledger, and lack particles until the next step brings them.
 #include <gtest/gtest.h>
 
 #include "tests/server/net/harness.hpp"
@@ -136,46 +136,29 @@ TEST_F(Restart, BringsBackNothingThatWasDropped) {
   EXPECT_EQ(scenes_in(client), std::vector<std::string>{"made"});
   const Json shown = client.call("scene.show", {{"scene", "made"}}).json;
   EXPECT_TRUE(shown["step"].is_null());
-  EXPECT_EQ(refused(client, 0, 10, {{"scene", "made"}, {"refill", true}}), "stale_step") << "it never had any";
   client.begin(kAnna, 0, 10, {{"scene", "made"}});
-  client.slice(kAnna, 0, 10, 0, {{"scene", "made"}});
+  client.slice(kAnna, 0, 10, {{"scene", "made"}});
   EXPECT_EQ(client.receive_but_notices().json["report"]["step"], 0);
 }
 
-TEST_F(Restart, TakesAStepOnlyAfterARefill) {
+TEST_F(Restart, TakesAStepAsIfNothingHadBeen) {
   leave("s", 5);
   const auto service = start();
   Client client = service->client("c", kAnna);
-  const Json refill{{"refill", true}};
-  EXPECT_EQ(refused(client, 5, n_, Json::object()), "base_lost");
-  EXPECT_EQ(refused(client, 5, n_, {{"base_step", 4}, {"moved", "none"}, {"slices", 0}}), "base_lost");
-  EXPECT_EQ(refused(client, 5, n_, refill), "stale_step") << "a refill is of the last step";
-  EXPECT_EQ(refused(client, 3, n_, refill), "stale_step");
-  EXPECT_EQ(refused(client, 4, n_ + 1, refill), "invalid_argument");
-  EXPECT_EQ(refused(client, 4, n_, {{"refill", true}, {"base_step", 4}}), "base_lost");
-  EXPECT_EQ(refused(client, 5, n_, {{"refill", "yes"}}), "invalid_argument");
+  EXPECT_EQ(refused(client, 5, n_ + 1, Json::object()), "not_conserved");
+  EXPECT_EQ(refused(client, 5, n_, {{"incarnation", wire::hex64(0xabd)}}), "not_found");
+  EXPECT_EQ(refused(client, 3, n_, Json::object()), "stale_step");
   client.begin(kAnna, 4, n_);  // its answer may have been lost
   const Received again = client.receive_but_notices();
   EXPECT_EQ(again.json["repeated"], true) << again.message();
   EXPECT_EQ(again.json["report"]["step"], 4);
-  const Json before = show(client);
   EXPECT_EQ(service->engine().executed(), std::vector<std::string>{"scene.restore"});
-
-  client.begin(kAnna, 4, n_, refill);
-  client.slice(kAnna, 4, n_);
-  EXPECT_EQ(client.receive_but_notices().json["refilled"], true);
-  EXPECT_EQ(service->engine().executed().back(), "refill step 4");
-  const Json after = show(client);
-  EXPECT_EQ(after["filled"], true);
-  for (const char* name : {"step", "n", "positions_step", "error", "counts", "incarnation"})
-    EXPECT_EQ(after[name], before[name]) << name;
-  EXPECT_EQ(client.call("history", {{"scene", "s"}}).json["total"], 5) << "it is no step";
-  EXPECT_EQ(refused(client, 4, n_, refill), "stale_step") << "nothing is lacking";
-
-  client.begin(kAnna, 5, n_);
+  client.begin(kAnna, 5, n_, {{"incarnation", wire::hex64(0xabc)}});
   client.slice(kAnna, 5, n_);
   EXPECT_EQ(client.receive_but_notices().json["report"]["step"], 5);
-  EXPECT_EQ(show(client)["positions_step"], 5);
+  const Json after = show(client);
+  EXPECT_EQ(after["filled"], true);
+  EXPECT_EQ(after["positions_step"], 5);
 }
 
 TEST_F(Restart, HasACountSentThatNoPositionsAreBehind) {
@@ -183,7 +166,7 @@ TEST_F(Restart, HasACountSentThatNoPositionsAreBehind) {
   const auto service = start();
   Client client = service->client("c", kAnna);
   const auto count = [&](std::int64_t step) {
-    const Json shown = show(client);  // the engine here takes other cuts for those after a refill
+    const Json shown = show(client);
     const std::string bulk = std::string(4, '\0') + std::string(reinterpret_cast<const char*>(&n_), 8);
     client.send(FrameType::request,
                 {{"command", "count"},
@@ -201,10 +184,9 @@ TEST_F(Restart, HasACountSentThatNoPositionsAreBehind) {
   };
   EXPECT_NE(count(3).value("send", "").find("since the service was started"), std::string::npos);
   EXPECT_EQ(count(2)["repeated"], true);
-  client.begin(kAnna, 2, n_, {{"refill", true}});
-  client.slice(kAnna, 2, n_);
-  EXPECT_EQ(client.receive_but_notices().json["refilled"], true);
-  EXPECT_TRUE(count(3).contains("send")) << "a refill's positions may be any";
+  client.begin(kAnna, 3, n_);
+  client.slice(kAnna, 3, n_);
+  EXPECT_EQ(client.receive_but_notices().json["report"]["step"], 3);
 }
 
 }  // namespace

@@ -144,22 +144,22 @@ TEST(Session, BreachesAreAnsweredAndEndTheConnection) {
 TEST(Session, RefusedRequestsLeaveTheConnection) {
   TestService service;
   Client client = service.client("c");
-  EXPECT_EQ(client.call("plan", {{"deadline_seconds", -1}}).code(), "invalid_argument");
+  EXPECT_EQ(client.call("compare", {{"deadline_seconds", -1}}).code(), "invalid_argument");
   EXPECT_EQ(client.call("push").code(), "unsupported");
   client.send(FrameType::request, {{"no", "command"}});
   EXPECT_EQ(client.receive().code(), "invalid_argument");
   EXPECT_EQ(client.call("scene.close", {{"scene", "s"}}).code(), "not_found");
   EXPECT_EQ(client.call("scene.drop", {{"scene", "../x"}}).code(), "invalid_argument");
   const wire::Json array{{"name", "x"}, {"dtype", "<f8"}, {"shape", {3}}};
-  client.send(FrameType::request, {{"command", "plan"}, {"arrays", {array}}}, "bulk that nobody asked f", true);
-  EXPECT_EQ(client.receive().json["echo"], "plan");
+  client.send(FrameType::request, {{"command", "compare"}, {"arrays", {array}}}, "bulk that nobody asked f", true);
+  EXPECT_EQ(client.receive().json["echo"], "compare");
 }
 
 TEST(Session, AnswersInOrderAndEchoesTheRequest) {
   TestService service;
   Client client = service.client("c");
   std::vector<std::uint64_t> sent;
-  for (int i = 0; i < 20; ++i) sent.push_back(client.request(i % 2 == 0 ? "plan" : "status"));
+  for (int i = 0; i < 20; ++i) sent.push_back(client.request(i % 2 == 0 ? "compare" : "status"));
   for (const std::uint64_t number : sent) EXPECT_EQ(client.receive().request, number);
 }
 
@@ -168,7 +168,7 @@ TEST(Session, StatusIsAnsweredWhileTheEngineIsBusy) {
   Client anna = service.client("anna");
   anna.call("scene.create", {{"scene", "s"}});
   service.engine().hold();
-  anna.request("plan", {{"scene", "s"}});
+  anna.request("compare", {{"scene", "s"}});
   Client bert = service.client("bert", kBert);
   const Received status = bert.call("status");
   EXPECT_EQ(status.json["scenes"][0]["scene"], "s");
@@ -176,7 +176,7 @@ TEST(Session, StatusIsAnsweredWhileTheEngineIsBusy) {
   EXPECT_FALSE(status.json["empty"]);
   EXPECT_EQ(bert.call("scene.list").json["scenes"].size(), 1U);
   service.engine().release();
-  EXPECT_EQ(anna.receive_but_notices().json["echo"], "plan");
+  EXPECT_EQ(anna.receive_but_notices().json["echo"], "compare");
 }
 
 TEST(Session, TooManyOrdersAreBusyBeforeOrdering) {
@@ -184,23 +184,23 @@ TEST(Session, TooManyOrdersAreBusyBeforeOrdering) {
   service.engine().hold();
   std::vector<Client> clients;
   for (int i = 0; i < 3; ++i) clients.push_back(service.client("c"));
-  for (Client& client : clients) client.request("plan");
+  for (Client& client : clients) client.request("compare");
   Client late = service.client("late");
   service.engine().wait_for_orders(3);
-  EXPECT_EQ(late.call("plan").code(), "busy");
+  EXPECT_EQ(late.call("compare").code(), "busy");
   service.engine().release();
-  for (Client& client : clients) EXPECT_EQ(client.receive_but_notices().json["echo"], "plan");
-  EXPECT_EQ(late.call("plan").json["echo"], "plan");
+  for (Client& client : clients) EXPECT_EQ(client.receive_but_notices().json["echo"], "compare");
+  EXPECT_EQ(late.call("compare").json["echo"], "compare");
 }
 
 TEST(Session, AWaitHasADeadlineAndNotices) {
   TestService service([](ControlOptions& options) { options.notice_seconds = 0.1; });
   service.engine().hold();
   Client client = service.client("c");
-  client.request("plan", {{"deadline_seconds", 0.5}});
+  client.request("compare", {{"deadline_seconds", 0.5}});
   const Received notice = client.receive();
   EXPECT_EQ(notice.type, FrameType::notice);
-  EXPECT_NE(notice.json["notice"].get<std::string>().find("plan"), std::string::npos);
+  EXPECT_NE(notice.json["notice"].get<std::string>().find("compare"), std::string::npos);
   EXPECT_EQ(client.receive_but_notices().code(), "deadline_exceeded");
   service.engine().release();
   EXPECT_EQ(client.call("neighbours").json["echo"], "neighbours");  // the late answer went nowhere
@@ -218,7 +218,7 @@ TEST(Session, ACommandIsCancelledOnceItsClientHasGone) {
     }
     service.engine().wait_for_cancelled();
     service.engine().release();
-    EXPECT_EQ(service.client("next").call("plan").json["echo"], "plan");
+    EXPECT_EQ(service.client("next").call("compare").json["echo"], "compare");
   }
 }
 
@@ -231,11 +231,11 @@ TEST(Session, WhatAClientAskedBeforeItWentIsNotOrdered) {
   service.engine().wait_for_orders(1);
   client.close();
   service.engine().wait_for_cancelled();
-  const std::uint64_t asked = witness.request("plan", {{"scene", "s"}});
+  const std::uint64_t asked = witness.request("compare", {{"scene", "s"}});
   service.engine().wait_for_orders(2);
   service.engine().release();
   EXPECT_EQ(witness.receive_but_notices().request, asked);
-  EXPECT_EQ(service.engine().executed(), (std::vector<std::string>{"assign", "plan"}));
+  EXPECT_EQ(service.engine().executed(), (std::vector<std::string>{"assign", "compare"}));
 }
 
 TEST(Session, AnOpenSceneIsNotTakenFromUnderItsClient) {
@@ -365,18 +365,18 @@ TEST(Session, OneTooManyIsServedWhatTheOwnerNeedsUntilAPlaceIsFree) {
   {
     Client two = service.client("two");
     Client three = service.client("three");
-    EXPECT_EQ(three.call("plan").code(), "busy");
+    EXPECT_EQ(three.call("compare").code(), "busy");
     EXPECT_EQ(three.call("scene.create", {{"scene", "s"}}).code(), "busy");
     three.begin(kAnna, 0, 2);
     EXPECT_EQ(three.receive().code(), "busy");
     EXPECT_EQ(three.call("status").json["sessions"], 3);
     EXPECT_EQ(three.call("scene.list").type, FrameType::reply);
-    EXPECT_EQ(one.call("plan").json["echo"], "plan");
+    EXPECT_EQ(one.call("compare").json["echo"], "compare");
   }
   Client three = service.client("three");
   while (three.call("status").json["sessions"] != 2) {
   }
-  EXPECT_EQ(three.call("plan").json["echo"], "plan");
+  EXPECT_EQ(three.call("compare").json["echo"], "compare");
 }
 
 TEST(Session, WhoCameWhenAllWasTakenGivesWayToTheNext) {
@@ -389,7 +389,7 @@ TEST(Session, WhoCameWhenAllWasTakenGivesWayToTheNext) {
   EXPECT_EQ(late[0].receive().code(), "busy");
   EXPECT_TRUE(late[0].receive().ended);
   EXPECT_EQ(late[1].call("status").type, FrameType::reply);
-  EXPECT_EQ(one.call("plan").json["echo"], "plan");
+  EXPECT_EQ(one.call("compare").json["echo"], "compare");
   EXPECT_EQ(owner.call("shutdown").type, FrameType::reply);
 }
 
@@ -397,7 +397,7 @@ TEST(Session, WhatHasBegunToArriveIsAnsweredBeforeTheGoodbye) {
   TestService service;
   Client late = service.client("late");
   Client owner = service.client("owner", kBert);
-  const std::string whole = frame(FrameType::request, 7, R"({"command":"plan","scene":"s"})");
+  const std::string whole = frame(FrameType::request, 7, R"({"command":"compare","scene":"s"})");
   late.send_bytes(whole.substr(0, 50));
   for (int k = 0; k < 2; ++k) owner.call("status");  // by then it is read
   EXPECT_EQ(owner.call("shutdown").type, FrameType::reply);
@@ -425,17 +425,19 @@ TEST(Session, FieldsOfTheInsideDontComeFromOutside) {
   Client anna = service.client("anna", kAnna);
   anna.call("scene.create", {{"scene", "s"}, {"dims", 2}});
   for (int i = 0; i < 100; ++i) {  // more than may be unfinished: nothing is leaked
-    const Json staged = i % 2 == 0 ? Json(i) : Json::object();
-    const Json inside{{"scene", "s"}, {"staged", staged}, {"membership", {{"member", 0}}}, {"moved_by", {"none"}}};
+    const Json blocks = i % 2 == 0 ? Json(i) : Json::array({Json::object()});
+    const Json inside{{"scene", "s"}, {"blocks", blocks}, {"membership", {{"member", 0}}}, {"members", 3}};
     EXPECT_EQ(anna.call("rebalance", inside).type, FrameType::reply);
     EXPECT_EQ(service.engine().request(), (Json{{"command", "rebalance"}, {"scene", "s"}}));
   }
-  anna.begin(kAnna, 0, 4, {{"staged", 7}});
+  anna.begin(kAnna, 0, 4, {{"blocks", 7}, {"members", 3}});
   anna.slice(kAnna, 0, 4);
   EXPECT_EQ(anna.receive_but_notices().json["report"]["step"], 0);
-  EXPECT_FALSE(service.engine().request().contains("staged"));
-  for (const char* command : {"push", "push.members", "nonsense", ""})
-    EXPECT_EQ(anna.call(command, {{"scene", "s"}, {"staged", 1}}).code(), "unsupported") << command;
+  EXPECT_EQ(service.engine().request()["members"], 0);
+  EXPECT_EQ(service.engine().request()["blocks"],
+            Json::array({{{"member", 0}, {"n", 4}, {"path", "gateway"}, {"dtype", "<f8"}}}));
+  for (const char* command : {"push", "plan", "nonsense", ""})
+    EXPECT_EQ(anna.call(command, {{"scene", "s"}, {"blocks", 1}}).code(), "unsupported") << command;
 }
 
 // A request of `bytes` that takes long to parse: many small values, or one long text.
@@ -518,13 +520,13 @@ TEST(Session, WhatWasOrderedIsAnsweredBeforeTheEnd) {
   Client anna = service.client("anna", kAnna);
   Client bert = service.client("bert", kBert);
   service.engine().hold();
-  anna.request("plan");
+  anna.request("compare");
   service.engine().wait_for_orders(1);
   service.control().shut_down("test");
   service.engine().wait_for_orders(2);
-  EXPECT_EQ(bert.call("plan").code(), "unavailable");
+  EXPECT_EQ(bert.call("compare").code(), "unavailable");
   service.engine().release();
-  EXPECT_EQ(anna.receive_but_notices().json["echo"], "plan");
+  EXPECT_EQ(anna.receive_but_notices().json["echo"], "compare");
   EXPECT_EQ(anna.receive().type, FrameType::goodbye);
 }
 

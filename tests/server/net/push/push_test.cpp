@@ -16,14 +16,13 @@ using wire::Json;
 
 const std::vector<std::string> kCreated{"scene.create"};
 
-// What Client::slice() sends for four particles of rank 0.
+// What Client::slice() sends for four particles.
 Json slice_of_four() {
   return {{"command", "push.slice"},
           {"scene", "s"},
           {"session", kAnna},
           {"step", 0},
           {"attempt", 1},
-          {"rank", 0},
           {"count", 4},
           {"arrays",
            {{{"name", "x"}, {"dtype", "<f8"}, {"shape", {4}}}, {{"name", "y"}, {"dtype", "<f8"}, {"shape", {4}}}}}};
@@ -48,9 +47,10 @@ class Push : public ::testing::Test {
  protected:
   Push() { anna_.call("scene.create", {{"scene", "s"}, {"dims", 2}}); }
   // Both names are known from the ledger only when the service has seen them.
-  void commit(Client& client, const char* session, std::int64_t step, std::uint64_t n) {
-    client.begin(session, step, n);
-    client.slice(session, step, n);
+  void commit(Client& client, const char* session, std::int64_t step, std::uint64_t n,
+              const Json& more = Json::object()) {
+    client.begin(session, step, n, more);
+    if (n > 0) client.slice(session, step, n);
     EXPECT_EQ(client.receive_but_notices().json["report"]["step"], step);
   }
   TestService service_;
@@ -59,34 +59,39 @@ class Push : public ::testing::Test {
 };
 
 TEST_F(Push, SlicesReachTheEngineAsTheyWereSent) {
-  anna_.begin(kAnna, 3, 5, {{"slices", 2}, {"order", "plan"}});
-  const std::string first = anna_.slice(kAnna, 3, 2, 1);
-  const std::string second = anna_.slice(kAnna, 3, 3, 2, Json::object(), true);
+  anna_.begin(kAnna, 3, 5, {{"step_seconds", 0.5}, {"drifted", 2}});
+  const std::string sent = anna_.slice(kAnna, 3, 5, Json::object(), true);
   const Received report = anna_.receive();
   EXPECT_EQ(report.type, FrameType::reply);
   EXPECT_EQ(report.request, 3U);  // hello, create, begin
   EXPECT_EQ(report.json["report"]["step"], 3);
   const auto slices = service_.engine().slices();
-  ASSERT_EQ(slices.size(), 2U);
-  EXPECT_EQ(slices[0].rank, 1);
-  EXPECT_EQ(slices[1].count, 3U);
+  ASSERT_EQ(slices.size(), 1U);
+  EXPECT_EQ(slices[0].count, 5U);
+  EXPECT_TRUE(slices[0].divided);
   std::string got;
-  for (const wire::Array& array : slices[1].arrays)
+  for (const wire::Array& array : slices[0].arrays)
     got.append(reinterpret_cast<const char*>(array.bytes.data()), array.bytes.size());
-  EXPECT_EQ(got, second);
+  EXPECT_EQ(got, sent);
   EXPECT_EQ(slices[0].arrays[1].name, "y");
+  const Json order = service_.engine().request();
+  EXPECT_EQ(order["step_seconds"], 0.5);
+  EXPECT_EQ(order["drifted"], 2);
+  EXPECT_EQ(order["way"], "endpoint");
   EXPECT_EQ(anna_.call("status").json["scenes"][0]["step"], 3);
 }
 
 TEST_F(Push, NoParticlesNeedNoSlice) {
-  anna_.begin(kAnna, 0, 0, {{"slices", 0}});
+  anna_.begin(kAnna, 0, 0, {{"weights", true}});
   EXPECT_EQ(anna_.receive().json["report"]["step"], 0);
+  EXPECT_EQ(service_.engine().request()["blocks"], Json::array());
+  EXPECT_EQ(service_.engine().request()["weights"], true);
 }
 
 TEST_F(Push, ALargeSliceArrivesWhole) {
   constexpr std::uint64_t kCount = 2000000;  // 32 MB
   anna_.begin(kAnna, 0, kCount);
-  const std::string sent = anna_.slice(kAnna, 0, kCount, 0, Json::object(), true);
+  const std::string sent = anna_.slice(kAnna, 0, kCount, Json::object(), true);
   EXPECT_EQ(anna_.receive_but_notices().json["report"]["step"], 0);
   const auto slices = service_.engine().slices();
   ASSERT_EQ(slices.size(), 1U);
@@ -94,8 +99,7 @@ TEST_F(Push, ALargeSliceArrivesWhole) {
 }
 
 TEST_F(Push, AClientThatVanishesLeavesNothing) {
-  anna_.begin(kAnna, 0, 4, {{"slices", 2}, {"order", "plan"}});
-  anna_.slice(kAnna, 0, 2, 0);
+  anna_.begin(kAnna, 0, 4);
   anna_.call("status");
   bert_.begin(kBert, 0, 4);
   EXPECT_EQ(bert_.receive().code(), "busy");
@@ -139,8 +143,8 @@ TEST_F(Push, ItsDeadlineGivesItUp) {
   EXPECT_EQ(late.code(), "deadline_exceeded");
   EXPECT_EQ(late.request, 3U);
   anna_.slice(kAnna, 0, 4);  // too late: dropped
-  EXPECT_EQ(anna_.call("plan").json["echo"], "plan");
-  EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "plan"}));
+  EXPECT_EQ(anna_.call("compare").json["echo"], "compare");
+  EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "compare"}));
 }
 
 TEST_F(Push, ANewerAttemptReplacesTheOlder) {
@@ -150,7 +154,7 @@ TEST_F(Push, ANewerAttemptReplacesTheOlder) {
   again.begin(kAnna, 0, 4, {{"attempt", 2}});
   EXPECT_EQ(anna_.receive().code(), "aborted");
   anna_.slice(kAnna, 0, 4);  // of the older one: dropped
-  again.slice(kAnna, 0, 4, 0, {{"attempt", 2}});
+  again.slice(kAnna, 0, 4, {{"attempt", 2}});
   EXPECT_EQ(again.receive().json["report"]["step"], 0);
   anna_.call("status");
   EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "push step 0"}));
@@ -163,16 +167,14 @@ TEST_F(Push, SlicesThatContradictTheBeginningGiveItUp) {
   const std::vector<std::pair<std::uint64_t, Json>> wrong{
       {3, Json::object()},                                              // too few particles
       {5, Json::object()},                                              // too many
-      {4, {{"rank", 2}}},                                               // order "id" has one slice, for rank 0
-      {4, {{"rank", 77}}},                                              // no such rank
-      {4, {{"count", 2}}},                                              // not what the arrays have
+      {8, {{"count", 4}}},                                              // not what the arrays have
       {8, {{"count", 4}, {"arrays", {shape("x", 8), shape("z", 8)}}}},  // z for y
       {4, {{"arrays", {shape("x", 8)}}}},                               // no y
   };
   std::int64_t step = 0;
   for (const auto& [count, more] : wrong) {
     anna_.begin(kAnna, step, 4);
-    anna_.slice(kAnna, step, count, 0, more);
+    anna_.slice(kAnna, step, count, more);
     EXPECT_EQ(anna_.receive().code(), "invalid_argument") << more;
     ++step;
   }
@@ -195,22 +197,36 @@ TEST_F(Push, BeginIsHeldAgainstTheScene) {
   commit(anna_, kAnna, 5, 4);
   const std::vector<std::pair<Json, std::string>> wrong{
       {{{"scene", "nobody"}}, "not_found"},
-      {{{"n", 3}}, "invalid_argument"},
-      {{{"slices", 5}}, "invalid_argument"},
-      {{{"slices", 0}}, "invalid_argument"},
-      {{{"order", "any"}}, "invalid_argument"},
+      {{{"n", 3}}, "not_conserved"},
+      {{{"n", 5}, {"ids", true}, {"inserted", 2}}, "not_conserved"},
+      {{{"n", 3}, {"ids", true}, {"removed", 5}}, "not_conserved"},
+      {{{"n", 5}, {"inserted", 1}}, "invalid_argument"},  // without ids
+      {{{"n", nullptr}}, "invalid_argument"},
+      {{{"counts", {4, 0, 0, 0}}}, "invalid_argument"},  // for what goes to the ranks
+      {{{"path", "any"}}, "invalid_argument"},
+      {{{"path", "direct"}, {"counts", {4, 0, 0, 0}}}, "unsupported"},  // not at this endpoint
+      {{{"weights", true}}, "invalid_argument"},
+      {{{"incarnation", "00000000000000ab"}}, "not_found"},
+      {{{"incarnation", "x"}}, "invalid_argument"},
       {{{"step", -1}}, "invalid_argument"},
       {{{"session", "xyz"}}, "invalid_argument"},
-      {{{"order", "plan"}}, "invalid_argument"},  // without a plan
-      {{{"order", "plan"}, {"plan", {{"version", 0}, {"checksum", "0000000000000000"}}}}, "stale_plan"},
   };
   for (const auto& [more, code] : wrong) {
     anna_.begin(kAnna, 6, 4, more);
     EXPECT_EQ(anna_.receive().code(), code) << more;
   }
-  anna_.begin(kAnna, 6, 4, {{"order", "plan"}, {"plan", {{"version", 1}, {"checksum", "0000000000000000"}}}});
+  anna_.begin(kAnna, 6, 4, {{"incarnation", anna_.call("scene.show", {{"scene", "s"}}).json["incarnation"]}});
   anna_.slice(kAnna, 6, 4);
   EXPECT_EQ(anna_.receive().json["report"]["step"], 6);
+  commit(anna_, kAnna, 7, 0, {{"removed", 4}});
+  EXPECT_EQ(service_.engine().request()["removed"], 4);
+  commit(anna_, kAnna, 8, 3, {{"inserted", 3}});  // into nothing: as a first push
+}
+
+TEST_F(Push, AFirstPushKnowsOfNothingThatCame) {
+  commit(anna_, kAnna, 5, 4, {{"inserted", 2}, {"removed", 1}});
+  EXPECT_EQ(service_.engine().request()["inserted"], 0);
+  EXPECT_EQ(service_.engine().request()["removed"], 0);
 }
 
 TEST_F(Push, AStepThatIsNotAboveTheLastIsNotOrdered) {
@@ -222,7 +238,6 @@ TEST_F(Push, AStepThatIsNotAboveTheLastIsNotOrdered) {
     const Received again = anna_.receive_but_notices();
     EXPECT_EQ(again.json["repeated"], true);
     EXPECT_EQ(again.json["report"]["step"], step);
-    EXPECT_EQ(again.json["plan"]["version"], 1);
     anna_.slice(kAnna, step, 4);  // dropped
     bert_.begin(kBert, step, 4);
     EXPECT_EQ(bert_.receive_but_notices().code(), "stale_step") << step;
@@ -243,18 +258,18 @@ TEST(PushBudget, WhatIsAnnouncedTakesNothingWhatHasArrivedDoes) {
   anna.begin(kAnna, 0, kCount, {{"scene", "t"}});
   anna.call("status");
   bert.begin(kBert, 0, kCount, {{"scene", "u"}});
-  bert.slice(kBert, 0, kCount, 0, {{"scene", "u"}});
+  bert.slice(kBert, 0, kCount, {{"scene", "u"}});
   EXPECT_EQ(bert.receive_but_notices().json["report"]["step"], 0);  // Anna's announcement is in nobody's way
   service.engine().hold();
   bert.begin(kBert, 1, kCount, {{"scene", "u"}});
-  bert.slice(kBert, 1, kCount, 0, {{"scene", "u"}});
+  bert.slice(kBert, 1, kCount, {{"scene", "u"}});
   service.engine().wait_for_orders(1);  // arrived, and kept until it is answered
-  anna.slice(kAnna, 0, kCount, 0, {{"scene", "t"}});
+  anna.slice(kAnna, 0, kCount, {{"scene", "t"}});
   EXPECT_EQ(anna.receive_but_notices().code(), "busy");
   service.engine().release();
   EXPECT_EQ(bert.receive_but_notices().json["report"]["step"], 1);
   anna.begin(kAnna, 0, kCount, {{"scene", "t"}});  // all was given back
-  anna.slice(kAnna, 0, kCount, 0, {{"scene", "t"}});
+  anna.slice(kAnna, 0, kCount, {{"scene", "t"}});
   EXPECT_EQ(anna.receive_but_notices().json["report"]["step"], 0);
 }
 

@@ -1,0 +1,122 @@
+#include "server/net/control/push_order.hpp"
+
+#include <algorithm>
+#include <utility>
+
+namespace rcb::net {
+
+using wire::Json;
+
+namespace {
+
+Json block_json(const OpenPush& push) {
+  const PushTerms& terms = push.slices.terms();
+  Json block{{"member", std::max(push.member, 0)},
+             {"n", terms.n},
+             {"path", terms.from_memory() ? "shared"
+                      : terms.to_ranks()  ? "direct"
+                                          : "gateway"},
+             {"dtype", terms.is_float32 ? "<f4" : "<f8"}};
+  if (!terms.counts.empty()) block["counts"] = terms.counts;
+  if (push.number != 0) block["number"] = push.number;
+  if (terms.from_memory())
+    block.update({{"session", terms.id.session}, {"memory", push.begin.at("memory")}, {"sockets", terms.by_socket}});
+  return block;
+}
+
+// What all pushes say together, but for those without rows.
+class Together {
+ public:
+  explicit Together(const scene::SceneState& scene) : first_(!scene.step), known_(scene.step && scene.n > 0) {
+    all_.ids = scene.ids;
+    all_.weights = scene.weights;
+  }
+
+  void add(const PushTerms& terms) {
+    all_.n += terms.n;
+    if (!first_) all_.inserted += terms.inserted;
+    if (!first_) all_.removed += terms.removed;
+    if (terms.step_seconds) all_.step_seconds = std::max(*terms.step_seconds, all_.step_seconds.value_or(0));
+    if (terms.cuts_known && all_.cuts_known.value_or(*terms.cuts_known) != *terms.cuts_known)
+      all_.cuts_known.emplace();  // no cuts are those that all of them know
+    else if (terms.cuts_known)
+      all_.cuts_known = terms.cuts_known;
+    if (terms.n > 0)
+      add_rows(terms);
+    else if (!known_ && rows_ == 0)
+      all_.weights = all_.weights || terms.weights;
+  }
+
+  const PushTerms& terms() const { return all_; }
+
+  Json json() const {
+    Json json{{"n", all_.n},
+              {"weights", all_.weights},
+              {"ids", all_.ids},
+              {"inserted", all_.inserted},
+              {"removed", all_.removed},
+              {"way", name_of(all_.way)}};
+    if (all_.drifted) json["drifted"] = *all_.drifted;
+    if (all_.step_seconds) json["step_seconds"] = *all_.step_seconds;
+    if (const auto& cuts = all_.cuts_known)
+      json["cuts_known"] = {{"epoch", cuts->epoch}, {"hash", wire::hex64(cuts->hash)}};
+    return json;
+  }
+
+ private:
+  void add_rows(const PushTerms& terms) {
+    const bool first = rows_++ == 0;
+    all_.ids = terms.ids;
+    all_.weights = terms.weights;
+    if (!terms.drifted || (!first && !all_.drifted))
+      all_.drifted.reset();
+    else
+      all_.drifted = *terms.drifted + all_.drifted.value_or(0);
+    if (first || terms.way == all_.way)
+      all_.way = terms.way;
+    else
+      all_.way =
+          terms.way == api::Way::sockets || all_.way == api::Way::sockets ? api::Way::sockets : api::Way::endpoint;
+  }
+
+  bool first_;    // nothing came or went before it
+  bool known_;    // whether there are weights
+  int rows_ = 0;  // pushes that have some
+  PushTerms all_;
+};
+
+}  // namespace
+
+PushOrder order_of(std::span<const std::shared_ptr<OpenPush>> pushes, std::size_t members,
+                   const scene::Ledger& ledger) {
+  PushOrder order;
+  OrderOptions& options = order.options;
+  Together all(ledger.now());
+  Json blocks = Json::array();
+  for (const auto& push : pushes) {
+    const PushTerms& terms = push->slices.terms();
+    all.add(terms);
+    if (members > 0) options.sessions.push_back(scene::session_key(terms.id.session));
+    options.charged_bytes += std::exchange(push->charged_bytes, 0);
+    if (terms.n > 0) blocks.push_back(block_json(*push));
+    if (auto slice = push->slices.take()) {
+      slice->member = std::max(push->member, 0);
+      slice->divided = true;
+      options.slices.push_back(std::move(*slice));
+    }
+  }
+  const PushId& id = pushes.front()->slices.terms().id;
+  options.changes = id.scene;
+  order.request = all.json();
+  order.request.update({{"command", "push"},
+                        {"scene", id.scene},
+                        {"session", members > 0 ? kMembersSession : id.session},
+                        {"step", id.step},
+                        {"members", members},
+                        {"blocks", std::move(blocks)}});
+  if (Json terms = to_json(ledger.terms(all.terms().step_seconds)); !terms.empty())
+    order.request["terms"] = std::move(terms);
+  return order;
+}
+
+}  // namespace rcb::net
