@@ -5,6 +5,12 @@
 //   auto scene = client->open_scene("jet");
 //   auto result = scene->step(rcb::client::Positions::rows(xyz.data(), n, 3));
 //
+// The processes of a parallel solver each take a seat of the scene, and push the particles they have:
+//
+//   auto scene = client->open_scene("jet", {.seat = rank, .seats = size});
+//   auto result = scene->step(rcb::client::Positions::axes(axes, n), {.ids = ids});
+//   // then send the rows result->leaving to the processes of those seats, and add what these send
+//
 // A call that loses its connection, or whose service died and is started again, reconnects until its deadline. Reads
 // are repeated automatically. So is a step, which the service applies only once. The scenes of a service outlive it but
 // for their particles, which the next step brings. Other commands that were cut off fail with `unavailable`: the caller
@@ -51,7 +57,7 @@ struct ConnectOptions {
   // `interrupted`; whether the service does what was asked is then not known. It must not throw, nor call the client.
   std::function<bool()> on_wait{};
   // Once connected: if true, calls wait until their deadline for a service that has gone; so do create_scene() and
-  // drop_scene(), and a member for its seat, for another client that holds the scene. If false, one new connection is
+  // drop_scene(), and open_scene() for a seat, for another client that holds the scene. If false, one new connection is
   // tried, and a held scene is an error.
   bool outlive = true;
 };
@@ -67,21 +73,14 @@ struct SceneOptions {
   std::vector<double> part_sizes{};  // [parts] > 0, in no unit: the share of each; empty: equal shares
   // When step() has the service's ranks take the positions: "every-step", or "when-needed": at first, where the cuts
   // may have to change, and where a question about positions waits. In other steps this library counts by the cuts
-  // itself, which takes one pass over the positions, and sends the counts; that needs all positions, no insertions or
-  // removals.
+  // itself, which takes one pass over the positions, and sends the counts. A step in which particles came or went
+  // always travels.
   std::string positions = "every-step";
   int threads = 1;       // for counting
   bool replace = false;  // drops a scene of that name first; else it is an error (already_exists)
 };
 
 using Positions = cuts::Positions;  // in the caller's memory, where they stay
-
-// Particles that a step adds.
-struct Insertion {
-  Positions positions{};                // [count], by rows or axes; double or float32, as those of the step
-  std::span<const std::int64_t> ids{};  // [count], distinct, not in the scene; empty: the service chooses them
-  std::span<const double> weights{};    // [count] if the scene has weights, else empty
-};
 
 struct StepReport {
   std::string scene;
@@ -95,18 +94,17 @@ struct StepReport {
   bool repartitioned = false;
   std::string reason;
   int axes_flipped = 0;
-  // Particles that moved across a cut into another part. None where nobody knows the parts before: after counts, those
-  // of a step whose answer another Scene has, or that inserted or removed particles.
+  // Particles that moved across a cut into another part since the step before. None where neither the Scene nor the
+  // ranks can tell: the rows are of other particles, or in another order, than those of the step before.
   std::optional<std::uint64_t> drifted;
-  std::uint64_t moved = 0;     // particles whose part new cuts changed; not those of StepOptions::moved
-  std::uint64_t migrated = 0;  // particles that changed rank; 0 at the first push
+  std::uint64_t moved = 0;     // particles whose part new cuts changed
+  std::uint64_t migrated = 0;  // of these, those that changed rank
   std::uint64_t inserted = 0;
   std::uint64_t removed = 0;
-  std::optional<std::int64_t> first_id;        // of the inserted, if the service chose their ids: they are consecutive
   std::uint64_t weights_as_zero = 0;           // particles whose weight is too far below the greatest one to count
   bool sent = true;                            // the ranks took positions in this step
   std::optional<std::int64_t> positions_step;  // whose positions the ranks hold
-  std::uint64_t strangers = 0;                 // particles that were outside their seat's parts; 0 for one client
+  std::uint64_t strangers = 0;                 // particles that were outside their seat's parts; 0 for one seat
   std::uint64_t scanned = 0;                   // particles whose positions were sent
   std::uint64_t searched = 0;                  // particles that the search for cuts looked at
   std::uint64_t rounds = 0;                    // of the search for cuts; 0: there was no search
@@ -137,48 +135,50 @@ struct PartChange {
   std::int32_t part;
 };
 
-struct StepOptions {
-  std::optional<std::int64_t> step{};  // default: the last step + 1; 0 for the first
-  // [count], distinct, >= 0; empty: 0..count-1. To be given at the scene's first push, and at the first step of a Scene
-  // that was opened when the scene already had ids given by a solver; later they may be left out.
-  std::span<const std::int64_t> ids{};
-  // [count]; empty: the scene has none, or they are unchanged. Whether a scene has weights is decided by its first
-  // push, which must bring at least one particle for it.
-  std::span<const double> weights{};
-  // Computing time of the solver since its last push, on its slowest process; the policy "cost" decides by it.
-  std::optional<double> step_seconds{};
-  // Rows that moved since this Scene's last step, distinct, in any order; the positions of all other rows are unchanged
-  // and aren't sent. Empty: nothing moved. Not given: all. If the service can't build on that step, and until this
-  // Scene has had its first answer, all rows are sent. Not with new weights.
-  std::optional<std::span<const std::uint64_t>> moved{};
-  std::span<const std::int64_t> removed{};  // ids, distinct, of particles in the scene
-  const Insertion* inserted = nullptr;
-  bool want_parts = false;    // fill StepResult::parts
-  bool want_changes = false;  // fill StepResult::changes
-  int threads = 1;            // for finding these, where step() has all positions by rows or axes, and for counting
+struct LeavingRow {
+  std::uint64_t row;  // index into the caller's arrays
+  int to;             // seat
+};
+
+// Seat k of M keeps the particles of the parts [floor(k P / M), floor((k+1) P / M)). Seats need not communicate: the
+// service alone decides. A step returns when every seat has made it and it is committed; at its deadline it fails with
+// the name of a seat that is missing, the previous step stands, and all may make it again.
+struct SeatOptions {
+  int seat = 0;   // 0 .. seats-1
+  int seats = 1;  // the same for all; 1: this client has all particles
   double deadline_seconds = 60;
 };
 
-// How a step with removals and insertions renumbers the rows: row `to` is now what was row `from` or, if `inserted`,
-// the inserted particle number `from`. A solver moves its own arrays the same way, in any order.
-struct RowMove {
-  std::uint64_t to;
-  std::uint64_t from;
-  bool inserted;
+struct StepOptions {
+  std::optional<std::int64_t> step{};  // default: the last step + 1; 0 for the first
+  // [count], distinct, >= 0, in any order: whose positions the rows are. Empty: row k is the particle k, which one seat
+  // alone can say, and only while the scene's ids are 0..n-1.
+  std::span<const std::int64_t> ids{};
+  // [count]; empty: the scene has none, or those given last for these rows. Whether a scene has weights is decided by
+  // its first step.
+  std::span<const double> weights{};
+  // How many particles have come since the last step, and how many of the last step are gone; then ids are required.
+  // With several seats each says it of its own rows: particles that only go from one seat to another are neither. A
+  // step with other particles than it says is refused (not_conserved).
+  std::uint64_t inserted = 0, removed = 0;
+  // Computing time of the solver since its last step, here; the policy "cost" decides by that of the slowest seat.
+  std::optional<double> step_seconds{};
+  bool want_parts = false;    // fill StepResult::parts
+  bool want_changes = false;  // fill StepResult::changes
+  int threads = 1;            // for counting, and for finding parts
+  double deadline_seconds = 60;
 };
 
 struct StepResult {
   StepReport report;
-  // By row, numbered as after the step, under the cuts after it: those of Scene::cuts(). If the connection was lost on
-  // the way and another client has repartitioned before the cuts could be asked for, they are of a later epoch.
+  // By row, under the cuts after the step: those of Scene::cuts(). If the connection was lost on the way and another
+  // client has repartitioned before the cuts could be asked for, they are of a later epoch.
   std::vector<std::int32_t> parts;
-  // By ascending row: the rows whose part differs from what this Scene told last (by `parts` or `changes`), at first
-  // all of them. Inserted particles are always among them.
+  // By ascending row: the rows whose part differs from what this Scene told last (by `parts` or `changes`); all rows if
+  // there are more or fewer than then, or their ids differ.
   std::vector<PartChange> changes;
-  // Inserted particles take the rows of removed ones, ascending, in the order given. Surplus insertions are appended;
-  // if there are fewer, the last rows, ascending, fill the free ones, ascending.
-  std::vector<RowMove> row_moves;
-  std::vector<std::int64_t> inserted_ids;  // in the order in which they were given
+  // Of several seats: the rows in other seats' parts, ascending. What wasn't handed over is named again.
+  std::vector<LeavingRow> leaving;
 };
 
 struct Array {
@@ -210,8 +210,11 @@ class Client {
 
   Status create_scene(const std::string& name, const SceneOptions& options);
   // The scene stays open as long as the Scene lives, which must not outlive the Client. One Scene for each scene: a
-  // step number that another one of this client has pushed is refused (stale_step). None beside a MemberScene (busy).
-  Result<Scene> open_scene(const std::string& name);
+  // step number that another one of this client has pushed is refused (stale_step). With seats > 1 takes the seat of a
+  // scene that one of the processes, or another client, has created; a process that is started again takes it anew, and
+  // goes on from the last step. Errors: not_found, busy (another client has the seat and keeps it until the deadline,
+  // or this client has the scene open otherwise), invalid_argument (another number of seats than the others say).
+  Result<Scene> open_scene(const std::string& name, const SeatOptions& options = {});
   Status drop_scene(const std::string& name);
   Status shutdown_service();
 
@@ -228,7 +231,6 @@ class Client {
 
  private:
   friend class Scene;
-  friend class MemberScene;
   struct State;
   explicit Client(std::shared_ptr<State> state);
   std::shared_ptr<State> state_;
@@ -240,22 +242,14 @@ class Scene {
   Scene& operator=(Scene&&) noexcept;
   ~Scene();
 
-  // Pushes one step. Returns when it is committed on all ranks. After an error the previous step stands; only after
-  // deadline_exceeded and unavailable it may be committed all the same. The next call settles it:
+  // Makes one step with all rows that this seat has; their count may be 0. Returns when it is committed on all ranks.
+  // After an error the previous step stands; only after deadline_exceeded and unavailable, and aborted with several
+  // seats, it may be committed all the same. The next call settles it:
   // - the same content again: it returns the answer to that step;
-  // - other content: it becomes the step after that one. But if that step was the first, or inserted or removed
-  //   particles, the error is stale_step: push its content again first.
-  // Waits until the deadline for a lost service or connection.
+  // - other content: it becomes the step after that one. But if that step was the first, or particles came or went with
+  //   it, the error is stale_step: push its content again first.
+  // Waits until the deadline for a lost service or connection. Errors also: not_conserved, duplicate_id.
   Result<StepResult> step(const Positions& positions, const StepOptions& options = {});
-  // A step in which nothing moved: one round trip, for a caller that doesn't have its positions at hand. May remove and
-  // insert particles. Errors also: base_lost, if the service's last step isn't this Scene's, or its ranks lack
-  // positions that it needs (since it was started again, or "when-needed"): push all positions.
-  Result<StepResult> step_unmoved(const StepOptions& options = {});
-  // A step in which only these particles moved: positions[k] is that of ids[k], [ids.size()], by rows or axes. For a
-  // caller that doesn't have all positions at hand (otherwise use StepOptions::moved). Errors also: base_lost, as
-  // above.
-  Result<StepResult> step_moved(std::span<const std::int64_t> ids, const Positions& positions,
-                                const StepOptions& options = {});
   // Arrays for `count` positions, for a solver that computes in them: [count][dims] in C order, or an array [count] for
   // each axis. Where the service is on this host its ranks read them there, so that a step with them copies nothing. A
   // later call gives the same arrays, with what is in them, unless it asks for another kind, or for more than there is
@@ -265,8 +259,8 @@ class Scene {
   Result<std::span<float>> position_rows_f4(std::size_t count);
   Result<std::vector<std::span<float>>> position_axes_f4(std::size_t count);
   std::optional<std::int64_t> last_step() const;
-  // The cuts after the last step that was answered here, or before any the cuts in force. Asked for at most once:
-  // afterwards the answer to each step brings those that are new. Errors: also not_found (no positions yet).
+  // The cuts after the last step that was answered here, which came with that answer, or before any the cuts in force.
+  // Errors: also not_found (no positions yet).
   Result<rcb::cuts::Cuts> cuts(double deadline_seconds = 60);
 
  private:

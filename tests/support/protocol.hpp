@@ -1,11 +1,10 @@
-// Frames and the plan, written from common/wire/PROTOCOL.md (its sections "Frames", "The plan" and "Error codes") and
-// sharing no code with client and service: by this fake services judge what a client sends, and answer it. Slow and
-// plain, and without insertions and removals. What breaks the rules is thrown.
+// Frames, written from common/wire/PROTOCOL.md (its sections "Frames" and "Error codes") and sharing no code with client
+// and service: by this fake services judge what a client sends, and answer it. Slow and plain. What breaks the rules is
+// thrown.
 #pragma once
 
 #include <cstdint>
 #include <functional>
-#include <map>
 #include <optional>
 #include <span>
 #include <stdexcept>
@@ -69,18 +68,5 @@ std::optional<Frame> receive(const std::function<bool(char* to, std::size_t size
 Json failure_json(const Status& status);
 std::string hex64(std::uint64_t value);
 bool is_hex64(const Json& json);
-
-struct Plan {
-  std::uint64_t version = 0;
-  std::vector<std::vector<std::int64_t>> slots;  // by rank: the ids in slot order
-
-  // Before the first partition. ids: by row.
-  Plan(const std::vector<std::int64_t>& ids, int ranks);
-  int rank_of_part(std::int32_t part, int parts) const;
-  // After a step that leaves the particles in these parts, by id. first: the first partition.
-  void commit(const std::map<std::int64_t, std::int32_t>& part, int parts, bool first);
-  std::uint64_t checksum() const;
-  Json json() const { return {{"version", version}, {"checksum", hex64(checksum())}}; }
-};
 
 }  // namespace rcb::testing::protocol

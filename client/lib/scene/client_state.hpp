@@ -7,8 +7,6 @@
 #include <set>
 #include <string>
 
-#include <fmt/format.h>
-
 #include "client/lib/session/session.hpp"
 #include "common/wire/message.hpp"
 
@@ -23,12 +21,12 @@ struct KnownScene {
 // The answer to a request that describes a scene.
 Result<wire::Json> described(Session& session, wire::Json request, const Retry& retry);
 
-// Defined here so that Scene and MemberScene can use it; nobody outside this folder sees it.
+// Defined here so that Scene can use it; nobody outside this folder sees it.
 struct Client::State {
   std::unique_ptr<Session> session;
   std::map<std::string, KnownScene> created;  // scenes created and not dropped by this client
-  std::multiset<std::string> scenes;          // the names of all Scene objects
-  std::multiset<std::string> seats;           // and of all MemberScene objects
+  std::multiset<std::string> scenes;          // the names of all Scene objects that have no seat
+  std::multiset<std::string> seats;           // and of those that have one
   std::map<std::string, std::uint64_t> runs;  // how often this client has created or dropped a scene of that name
 
   std::uint64_t run_of(const std::string& scene) const {
@@ -39,13 +37,6 @@ struct Client::State {
   KnownScene known(const std::string& scene) const {
     const auto made = created.find(scene);
     return made == created.end() ? KnownScene() : made->second;
-  }
-  // A connection opens a scene once, as a member or for all particles: the end of either would end both. others: those
-  // of the other kind.
-  static Status refuse_both(const std::multiset<std::string>& others, const char* kind, const std::string& scene) {
-    if (!others.contains(scene)) return {};
-    return {Code::busy, fmt::format("this client has scene '{}' open as a {}", scene, kind),
-            "open it with another client, or after that one has ended"};
   }
   // To be called when the client has created a scene or, without `made`, has dropped it.
   void begin_run(const std::string& scene, std::optional<KnownScene> made) {

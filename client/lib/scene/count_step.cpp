@@ -4,7 +4,6 @@
 
 #include <fmt/format.h>
 
-#include "client/lib/scene/scene.hpp"
 #include "common/base/exact_scale.hpp"
 #include "common/base/random.hpp"
 #include "common/wire/frame.hpp"
@@ -37,44 +36,65 @@ std::string fault_frame(std::uint64_t request, wire::Json json, const Status& fa
 
 }  // namespace
 
+void CountStep::begin(bool others) {
+  found_ = counted_ = false;
+  if (!others) return;
+  step_.reset();
+  id_sum_.reset();
+}
+
+Status CountStep::pass(const cuts::Cuts& cuts, const CountedRows& rows, std::optional<std::int64_t> last,
+                       cuts::CountOptions options) {
+  const bool known = holds(cuts);
+  const bool same = part_.size() == rows.positions.count;
+  const bool follows = !found_ && same && last && step_ == last && parts_by_ == name_of(cuts);
+  found_ = false;
+  step_.reset();
+  options.ids = rows.ids;
+  options.threads = rows.threads;
+  part_.resize(rows.positions.count);
+  if (same) options.last_part = part_;
+  auto found = cuts::count(cuts, rows.positions, options, part_);
+  if (!found) return found.status();
+  count_ = std::move(*found);
+  if (!known) drifted_ = follows ? std::optional(count_.drifted) : std::nullopt;
+  parts_by_ = name_of(cuts);
+  found_ = true;
+  return {};
+}
+
+Status CountStep::find_parts(const cuts::Cuts& cuts, const CountedRows& rows, std::optional<std::int64_t> last) {
+  if (holds(cuts)) return {};
+  counted_ = false;
+  return pass(cuts, rows, last, {});
+}
+
 Status CountStep::count(const cuts::Cuts& cuts, const CountedRows& rows, std::optional<std::int64_t> last,
                         std::optional<int> scale) {
-  if (by_ == name_of(cuts) && (!scale || scale == scale_)) return {};
-  const bool follows = last && step_ == last && parts_by_ == name_of(cuts) && part_.size() == rows.positions.count;
-  const bool counted = by_ == name_of(cuts);  // only the scale is another
-  by_.reset();
-  step_.reset();
+  if (counted_ && holds(cuts) && (!scale || scale == scale_)) return {};
+  counted_ = false;
   cuts::CountOptions options;
-  options.ids = rows.ids;
   options.weights = rows.weights;
-  options.threads = rows.threads;
-  options.sum_ids = !id_sum_;
   options.scale = scale.value_or(scale_.value_or(0));
   scale_told_ = scale_told_ || scale;
-  const bool hinted = part_.size() == rows.positions.count;
-  part_.resize(rows.positions.count);
   for (bool again = false;; again = true) {
-    if (hinted || again) options.last_part = part_;
-    auto found = cuts::count(cuts, rows.positions, options, part_);
-    if (!found) return found.status();
-    if (!counted && !again) drifted_ = follows ? std::optional(found->drifted) : std::nullopt;
-    count_ = std::move(*found);
+    options.sum_ids = !id_sum_;
+    if (Status status = pass(cuts, rows, last, options); !status) return status;
     if (!id_sum_) id_sum_ = rows.ids.empty() ? sum_of_rows(count_.n) : count_.id_sum;
-    options.sum_ids = false;
     const int due = count_.greatest > 0 ? ExactScale(count_.greatest, count_.n).exponent() : options.scale;
     if (again || scale || scale_told_ || due == options.scale) break;
     options.scale = due;  // most often it is that of the step before
   }
   scale_ = options.scale;
   weighted_ = rows.weighted;
-  by_ = parts_by_ = name_of(cuts);
+  counted_ = true;
   return {};
 }
 
 std::string CountStep::frame(std::uint64_t request, wire::Json json) const {
   json["command"] = "count";
-  json["epoch"] = by_->epoch;
-  json["hash"] = wire::hex64(by_->hash);
+  json["epoch"] = parts_by_->epoch;
+  json["hash"] = wire::hex64(parts_by_->hash);
   json["n"] = count_.n;
   json["id_sum"] = wire::hex64(*id_sum_);
   json["drifted"] = drifted_ ? wire::Json(*drifted_) : wire::Json();
@@ -104,8 +124,8 @@ std::string CountStep::frame(std::uint64_t request, wire::Json json) const {
   return wire::encode_frame(header, wire::dump_json(json)) + bytes;
 }
 
-Result<std::optional<Frame>> CountStep::ask(const CountCall& call, const std::optional<CountedRows>& rows,
-                                            SceneCuts& cuts, const Retry& retry) {
+Result<std::optional<Frame>> CountStep::ask(const CountCall& call, const CountedRows& rows, SceneCuts& cuts,
+                                            const Retry& retry) {
   static constexpr int kTriesMax = 8;  // others may change the cuts, again and again
   const std::optional<Frame> send;
   const auto find_cuts = [&]() -> Status {
@@ -117,7 +137,7 @@ Result<std::optional<Frame>> CountStep::ask(const CountCall& call, const std::op
     if (Status status = find_cuts(); !status) return status;
   std::optional<int> scale;
   for (int tries = 0; tries < kTriesMax; ++tries) {
-    const Status counted = rows ? count(*cuts.known, *rows, call.last_step, scale) : Status();
+    const Status counted = count(*cuts.known, rows, call.last_step, scale);
     if (!counted && !call.of_member) return counted;
     wire::Json json{{"scene", call.scene},
                     {"session", call.session.number()},
@@ -135,7 +155,7 @@ Result<std::optional<Frame>> CountStep::ask(const CountCall& call, const std::op
     if (!answer) return answer.status();
     if (answer->contains("report")) return std::optional(std::move(*told));
     const auto again = answer->find("again");
-    if (!rows || again == answer->end()) return send;
+    if (again == answer->end()) return send;
     if (*again == "scale") {
       const auto due = wire::integer_field(*answer, "scale", -kScaleMost, kScaleMost);
       if (!due) return due.status();
@@ -145,33 +165,6 @@ Result<std::optional<Frame>> CountStep::ask(const CountCall& call, const std::op
     }
   }
   return send;
-}
-
-bool Scene::State::can_count(const StepRequest& ask) const {
-  const bool weighted = has_weights_ || !ask.options.weights.empty();
-  return when_needed_ && ask.whole() && !ask.edits() &&
-         (!weighted || !ask.options.weights.empty() || weights_.size() == ask.positions.count);
-}
-
-CountedRows Scene::State::rows_of(const StepRequest& ask) const {
-  const bool given = !ask.options.weights.empty();
-  const bool weighted = has_weights_ || given;
-  return {ask.positions, ids_of_rows(ask),
-          given      ? ask.options.weights
-          : weighted ? std::span<const double>(weights_)
-                     : std::span<const double>(),
-          weighted, std::max(ask.options.threads, scene_.threads)};
-}
-
-Result<std::optional<Frame>> Scene::State::step_by_count(const StepRequest& ask, std::int64_t step,
-                                                         const Retry& retry) {
-  const bool still = ask.moved == StepRequest::Moved::none && !ask.edits();
-  const bool counts = still ? when_needed_ && cuts_.known && counted_.holds(last_step_, *cuts_.known) : can_count(ask);
-  if (!pushed_ || !counts) return std::optional<Frame>();
-  if (still) counted_.nothing_moved();
-  const std::optional<CountedRows> rows = still ? std::nullopt : std::optional(rows_of(ask));
-  return counted_.ask({session(), name_, incarnation_, step, last_step_, ask.options.step_seconds, false}, rows, cuts_,
-                      retry);
 }
 
 }  // namespace rcb::client

@@ -1,9 +1,9 @@
-// CountStep: what a Scene keeps to step by counts, where the ranks need no positions: the part of each of its rows, and
-// what was counted last.
+// CountStep: the part of each row that a Scene has, by the cuts that it knows: to push each row to the rank that owns
+// its part, to tell the caller, and to step by counts where the ranks need no positions.
 //
 // Invariants
 // 1. A step's rows are counted once by the same cuts, however often the step is tried.
-// 2. The parts are those of step_; while there is none, they are but a hint.
+// 2. The parts are those of step_, whose rows were the same; while there is none, they are but a hint.
 #pragma once
 
 #include <cstdint>
@@ -44,30 +44,19 @@ struct CountCall {
 
 class CountStep {
  public:
-  // A step begins whose rows aren't counted yet.
-  void begin() { by_.reset(); }
-  // The same, and they may be of other particles than those of the step before.
-  void begin_others() {
-    begin();
-    id_sum_.reset();
-  }
-  // Counts the rows, unless that has been done. last: the step before. scale: the one that the service asks for.
-  Status count(const cuts::Cuts& cuts, const CountedRows& rows, std::optional<std::int64_t> last,
-               std::optional<int> scale = std::nullopt);
-  // Whether the parts and the count are those of this step by these cuts: a step in which nothing moves has them again.
-  bool holds(std::optional<std::int64_t> step, const cuts::Cuts& cuts) const {
-    return step && step_ == step && by_ == name_of(cuts);
-  }
-  void nothing_moved() { drifted_ = 0; }
-  // Of the rows counted for this step; none where the parts before aren't known.
-  std::optional<std::uint64_t> drifted() const { return by_ ? drifted_ : std::nullopt; }
+  // A step begins. others: its rows are of other particles, or in another order, than those of the step before.
+  void begin(bool others);
+  // Finds the parts of the rows, unless that has been done. last: the step before.
+  Status find_parts(const cuts::Cuts& cuts, const CountedRows& rows, std::optional<std::int64_t> last);
+  // Whether the parts are those of the rows of this step by these cuts.
+  bool holds(const cuts::Cuts& cuts) const { return found_ && parts_by_ == name_of(cuts); }
   std::span<const std::int32_t> parts() const { return part_; }
+  // Of the rows of this step; none where the parts before aren't known.
+  std::optional<std::uint64_t> drifted() const { return found_ ? drifted_ : std::nullopt; }
   // Sends the count until it is judged: the answer that commits the step, or none if its positions are to be pushed.
-  // rows: none if nothing has moved since the step before. cuts: asked for where they aren't known, or are others.
-  Result<std::optional<Frame>> ask(const CountCall& call, const std::optional<CountedRows>& rows, SceneCuts& cuts,
-                                   const Retry& retry);
-  void committed(std::int64_t step) { step_ = step; }
-  void forget() { *this = {}; }
+  // cuts: asked for where they aren't known, or are others.
+  Result<std::optional<Frame>> ask(const CountCall& call, const CountedRows& rows, SceneCuts& cuts, const Retry& retry);
+  void committed(std::int64_t step) { step_ = found_ ? std::optional(step) : std::nullopt; }
 
  private:
   struct Name {  // of cuts
@@ -75,14 +64,21 @@ class CountStep {
     std::uint64_t hash = 0;
     bool operator==(const Name&) const = default;
   };
+  static Name name_of(const cuts::Cuts& cuts) { return {cuts.epoch(), cuts.hash()}; }
+  // One pass over the rows.
+  Status pass(const cuts::Cuts& cuts, const CountedRows& rows, std::optional<std::int64_t> last,
+              cuts::CountOptions options);
+  // Counts the rows, unless that has been done. scale: the one that the service asks for.
+  Status count(const cuts::Cuts& cuts, const CountedRows& rows, std::optional<std::int64_t> last,
+               std::optional<int> scale);
   // The request `count`. json: what else it says.
   std::string frame(std::uint64_t request, wire::Json json) const;
-  static Name name_of(const cuts::Cuts& cuts) { return {cuts.epoch(), cuts.hash()}; }
 
   std::vector<std::int32_t> part_;    // by row
   std::optional<std::int64_t> step_;  // whose parts these are
-  std::optional<Name> by_;            // the cuts that `count_` was made by; none: it is of no use
   std::optional<Name> parts_by_;      // the cuts of part_
+  bool found_ = false;                // part_ is of the rows of the step that has begun
+  bool counted_ = false;              // and so is count_, by the same cuts
   cuts::Count count_;
   bool weighted_ = false;
   std::optional<int> scale_;  // of the last loads

@@ -1,15 +1,10 @@
-// Room `scene`: a single client's scene: its steps and their answers, and its history. The public classes are in
+// Room `scene`: a client's scene, or its seat of one: its steps, and its history. The public classes are in
 // client/lib/client.hpp.
 //
-// What the client knows of a scene that it pushes to.
+// Scene::State: what the client knows of a scene that it pushes to. scene.cpp opens it, step.cpp makes steps of it,
+// push.cpp brings their rows to the ranks.
 //
-// Invariants
-// 1. plan_ (the layout) and parts_ are of the same moment. After a commit both are updated from the changes in the
-//    answer; if the result doesn't match the answer's version or checksum, they are fetched instead.
-// 2. A push that failed changes nothing here.
-// 3. While the scene has positions and filled_ is false, the ranks hold none of its particles, since their service was
-//    started again: the next push brings all of them. Ids and weights, which the caller need not give again, are kept
-//    for this.
+// Invariant: a push that failed changes nothing here but what the service says of the scene.
 #pragma once
 
 #include <cstdint>
@@ -25,48 +20,38 @@
 #include "client/lib/session/session.hpp"
 #include "client/lib/session/shared_arrays.hpp"
 #include "client/lib/session/unanswered.hpp"
-#include "common/layout/layout.hpp"
 
 namespace rcb::client {
 
+// Tells rows of the same particles in the same order from others.
+struct RowsId {
+  std::size_t count = 0;
+  std::uint64_t ids = 0;  // a checksum
+  bool operator==(const RowsId&) const = default;
+};
+
 // One step as its caller requests it.
 struct StepRequest {
-  enum class Moved { all, rows, ids, none };
+  const Positions& positions;
+  const StepOptions& options;
+  RowsId rows;
 
-  Positions positions;
-  StepOptions options;
-  Moved moved = Moved::all;           // rows: options.moved are the rows; ids: positions holds only those of `ids`
-  std::span<const std::int64_t> ids;  // of the particles that moved
-
-  bool edits() const { return !options.removed.empty() || options.inserted != nullptr; }
-  std::size_t inserted() const { return options.inserted == nullptr ? 0 : options.inserted->positions.count; }
-  bool whole() const { return moved == Moved::all || moved == Moved::rows; }  // all positions are at hand
+  bool flows() const { return options.inserted > 0 || options.removed > 0; }
   bool wants() const { return options.want_parts || options.want_changes; }
-  // Whether the library finds out the parts by itself, as it has all positions by row.
-  bool wants_by_cuts() const { return wants() && whole() && !edits(); }
-};
-
-// Some particles of a layout, by rank, in ascending slots.
-struct Selection {
-  std::vector<std::vector<std::uint64_t>> slots;
-  std::vector<std::vector<std::uint64_t>> places;  // indices into the caller's arrays
-};
-
-// How the removals and insertions of a step change the rows.
-struct RowEdit {
-  std::vector<std::uint64_t> removed;  // ascending
-  layout::SlotEdit moves;
-  std::vector<std::int32_t> inserted_part;  // their parts on arrival, if the answer tells them
+  // Smaller pushes go to the endpoint in one write, which spares the coordination with the ranks.
+  bool large() const {
+    return positions.count * static_cast<std::size_t>(positions.dims) * sizeof(double) >= std::size_t{1} << 18U;
+  }
 };
 
 struct Scene::State {
  public:
-  State(std::shared_ptr<Client::State> client, std::string name);
+  State(std::shared_ptr<Client::State> client, std::string name, const SeatOptions& seat);
   ~State();
 
   // Tries until the deadline.
   Status open(Retry& retry);
-  Result<StepResult> step(StepRequest ask);
+  Result<StepResult> step(const Positions& positions, const StepOptions& options);
   int dims() {
     forget_if_replaced();
     return dims_;
@@ -82,167 +67,110 @@ struct Scene::State {
   // The service's description of the scene.
   struct Description {
     int dims = 0;
-    int parts = 0;
-    std::uint64_t count = 0;
     std::uint64_t epoch = 0;
     std::optional<std::int64_t> step;  // none: the scene has no positions
     bool filled = true;                // the ranks hold its particles
-    bool older = false;                // at positions that aren't known to be those of the last step
     bool ids = false, weights = false;
     bool when_needed = false;
     std::string incarnation;
+    std::uint64_t generation = 0;  // of the seat
+  };
+  // How rows come to the ranks. held: from shared memory, each rank those of the particles that it holds.
+  enum class Way { gateway, direct, shared, held };
+
+  // What a push brings beside positions.
+  struct Values {
+    std::span<const double> weights;
+    std::span<const std::int64_t> ids;
   };
 
   Session& session() const { return *client_->session; }
-  static Result<Description> read_description(const wire::Json& json);
-  Status wrong(const std::string& message, std::string hint) const;
-  Status check(const StepRequest& ask) const;
-  Status check_positions(const StepRequest& ask) const;
-  Status check_edits(const StepRequest& ask) const;
+  bool seated() const { return seat_.seats > 1; }
+  std::multiset<std::string>& open_scenes() const { return seated() ? client_->seats : client_->scenes; }
+  Result<Description> read_description(const wire::Json& json) const;
   // Forgets the scene if this client has created another one in its place, or dropped it.
   void forget_if_replaced();
   bool held() const { return !replaced_ && generation_ == session().generation(); }
   // Opens the scene on the current connection, if it isn't open there, and checks that it is still the one pushed to.
   Status hold(const Retry& retry);
-  bool on_ranks() const { return pushed_ && filled_; }
-  // All particles with ids and weights, from what the caller gives and what is kept here. Errors: base_lost, which says
-  // what is missing.
-  Result<StepRequest> with_all_particles(const StepRequest& ask) const;
-  Status base_lost(const std::string& why) const;
-  // Brings ranks that hold none all particles, at the positions that this step begins with. Errors: stale_plan, if
-  // another client has done so.
-  Status refill(const StepRequest& ask, const Retry& retry);
-  // Of a step that the service has committed, as it says. It is answered by the report alone.
-  Result<Frame> ask_for_answer(const StepRequest& ask, std::int64_t step, const Retry& retry);
-  // A committed step. The parts may not be known yet.
-  struct Committed {
-    StepResult result;
-    RowEdit edit;
-    bool plan_needed = false;  // layout and parts must be fetched, since the answer doesn't lead to them
-  };
-  // Pushes a step, again and again until the deadline, and finds out its parts if they are asked.
-  Result<StepResult> push_and_complete(StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
-                                       Retry& retry);
-  // One attempt to push a step.
-  Result<Committed> try_step(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
-                             const Retry& retry);
-  // Whether the step can be a count: where its scene wants that, and all rows are at hand.
-  bool can_count(const StepRequest& ask) const;
-  CountedRows rows_of(const StepRequest& ask) const;
-  // One attempt at the step as a count, if it can be one. Returns the answer with its report; nothing if the step's
-  // positions are to be pushed.
-  Result<std::optional<Frame>> step_by_count(const StepRequest& ask, std::int64_t step, const Retry& retry);
-  // One attempt at the push of a step. Changes what is pushed where the ranks need more than what the step brings.
-  Result<Frame> step_by_push(StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base, const Retry& retry);
+  Status same_as_before(const Description& found) const;
+  void close(const Retry& retry) const;
+  // The number of the scene's last step, as the service says; none: it has had no step.
+  Result<std::optional<std::int64_t>> step_in_force(const Retry& retry) const;
+
+  // What can't be right whatever the service says.
+  Status check(const StepRequest& ask) const;
+  Status wrong(const std::string& message, std::string hint) const;
+  // Makes the step, again and again until the deadline.
+  Result<StepResult> step_until_deadline(const StepRequest& ask, std::int64_t step, Retry& retry);
+  // One attempt.
+  Result<StepResult> try_step(const StepRequest& ask, std::int64_t step, const Retry& retry);
   // A checksum of what the step pushes.
-  std::uint64_t content_of(const StepRequest& ask) const;
+  static std::uint64_t content_of(const StepRequest& ask);
   // Asks whether the unanswered step of an earlier call was committed; true if so, and the caller needs its answer.
   Result<bool> needs_unanswered(const Retry& retry);
-  // The number of the scene's last step, as the service says; none: it has had no step.
-  Result<std::optional<std::int64_t>> step_in_force(const Retry& retry);
-  // Makes sure that the layout is there; fetches it if it is missing.
-  Status ready(std::uint64_t count, std::span<const std::int64_t> ids, const Retry& retry, bool with_plan);
-  void forget_rows();  // which particle is in which row, and their parts
-  // On success plan_, parts_ and ids_ are new; on failure all are unchanged.
-  Status fetch_plan(std::span<const std::int64_t> ids, const Retry& retry);
-  Result<Frame> ask_plan(const Retry& retry) const;
-  Status take_plan(const Frame& answer, std::span<const std::int64_t> ids);
-  Result<Frame> push(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base, const Retry& retry);
-  // Whether the step can be pushed from shared memory, and is to be.
-  bool by_shared_memory(const StepRequest& ask, const Retry& retry);
-  // Whether row k is the particle with the id k, as the ranks take it at a first push, and later if nothing is said.
-  bool rows_are_ids(const StepRequest& ask) const;
-  Result<Frame> push_shared(wire::Json begin, const StepRequest& ask, const std::string& what,
-                            const Deadline& deadline);
-  Result<Frame> send(wire::Json begin, const RankRows& rows, std::vector<Column> columns, const StepRequest& ask,
-                     const std::string& what, const Deadline& deadline);
-  // What the answer to a push says.
-  struct Answer {
-    wire::Json json;
-    StepReport report;
-    bool first;                                      // the scene had no positions
-    bool repeated;                                   // it is that of an earlier attempt
-    bool epoch_follows;                              // on the epoch that this Scene knows
-    bool follows;                                    // layout and parts follow from those known
-    bool counted = false;                            // its rows are, by the cuts after it
-    std::optional<Frame> plan;                       // the answer to `plan`, if it was asked for, too
-    std::optional<cuts::Cuts> cuts;                  // after the step, if this Scene uses them
-    std::optional<std::vector<std::int32_t>> parts;  // by these, if they are asked for and known here; before edits
-    std::vector<std::int32_t> inserted_part;         // by these, of the inserted
-  };
-  // tried_before: an earlier attempt to push the step may have been committed, so the answer may repeat its report.
-  Result<Answer> read_answer(const Frame& frame, std::int64_t step, bool tried_before) const;
-  // Adds to the answer what else has to be asked or computed for it.
-  Status complete_answer(const Frame& frame, const StepRequest& ask, const Retry& retry, Answer& answer);
-  // The parts of all rows before the edit, and of those inserted.
-  Status parts_by_cuts(const Frame& frame, const StepRequest& ask, const Retry& retry, Answer& answer) const;
-  bool uses_cuts(const StepRequest& ask) const { return cuts_.wanted || ask.wants_by_cuts(); }
-  Result<Committed> finish(const Frame& frame, Answer answer, const StepRequest& ask);
-  // Fills in parts and changes, and reconnects for it if need be. Errors: the step is committed, but its parts are not
-  // known.
-  Result<StepResult> complete(const StepRequest& ask, Committed done, Retry& retry);
-  Status fetch_plan_of_step(const StepRequest& ask, Retry& retry);
-  // By row, after a step.
-  std::span<const std::int64_t> ids_of_rows(const StepRequest& ask) const;
-  // The service now has the scene's first positions.
-  void take_first(const StepRequest& ask);
-  void keep_weights(std::span<const double> weights);
-  // Rank and slot of the moved particles. Errors: invalid_argument, not_found.
-  Result<Selection> select(const StepRequest& ask) const;
-  // Errors: not_found, invalid_argument (ids that the scene doesn't have, or given twice).
-  Result<RowEdit> row_edit(const StepRequest& ask) const;
-  // Updates rows, ids and parts after the edit; also the layout if the answer tells enough, else the layout is dropped.
-  void edit_rows(const StepRequest& ask, RowEdit& edit, const StepReport& report, const Frame& answer, bool follows,
-                 StepResult& result);
-  // The parts of inserted particles are set to -1 (not known yet).
-  void move_rows(const RowEdit& edit, std::span<const std::int64_t> ids);
-  Status apply(const Frame& answer, const wire::Json& json, bool first, std::vector<PartChange>& changes);
-  // What was told to the caller last.
-  std::span<const std::int32_t> parts_told() const {
-    return !told_ ? std::span<const std::int32_t>() : known_ ? *known_ : parts_;
-  }
-  // The scene's ids by row, as far as this client can know them.
-  std::span<const std::int64_t> ids_by_row(std::span<const std::int64_t> given) const;
+  // Whether the step can be a count.
+  bool can_count(const StepRequest& ask) const;
+  // The answer to the step as a count; nothing if its positions are to be pushed.
+  Result<std::optional<Frame>> step_by_count(const StepRequest& ask, std::int64_t step, const Retry& retry);
+  // The weights given or, where the rows are the same, kept.
+  std::span<const double> weights_of(const StepRequest& ask) const;
+  CountedRows rows_of(const StepRequest& ask) const;
+  // Of an answer. tried_before: an earlier attempt may have been committed, so that it may repeat the report of that.
+  Result<StepReport> report_of(const Result<wire::Json>& json, std::int64_t step, bool tried_before) const;
+  Result<StepResult> take_answer(const Frame& frame, const StepRequest& ask, std::int64_t step, bool tried_before,
+                                 const Retry& retry);
+  // The cuts after a step, if they are told or needed; counted_ then has the parts by them, if these are.
+  Result<std::optional<cuts::Cuts>> complete(const Frame& frame, const wire::Json& json, const StepReport& report,
+                                             const StepRequest& ask, const Retry& retry);
+  // Fills in what depends on the parts.
+  void tell_parts(const StepRequest& ask, StepResult& result);
+
+  // Of a step that the service has committed. It is answered by the report alone.
+  Result<Frame> ask_for_answer(std::int64_t step, const Retry& retry) const;
+  // What every push.begin says.
+  wire::Json begin_json(std::int64_t step, const Retry& retry) const;
+  Result<Way> choose_way(const StepRequest& ask, const Retry& retry) const;
+  // Whether the rows can come from shared memory, and are to.
+  bool by_shared_memory(const StepRequest& ask, const Retry& retry) const;
+  // The rows that each rank is to take, in row order or, if grouped, by the ranks that own them. list: [count], of
+  // rows, rank after rank.
+  RankRows rows_by_rank(const StepRequest& ask, bool grouped, std::span<std::uint64_t> list) const;
+  std::span<const std::int64_t> row_numbers(std::size_t count);
+  Result<Frame> push(const StepRequest& ask, std::int64_t step, const Retry& retry);
+  // rows: by rank, where the push says which rows each is to take.
+  Result<Frame> send(wire::Json begin, const StepRequest& ask, RankRows rows, const Values& values, const Retry& retry);
 
   std::shared_ptr<Client::State> client_;
-  SharedArrays arrays_;
-  bool shared_ = false;              // the current attempt pushes from arrays_
-  bool by_id_ = false;               // if shared_: the ranks find the rows by the particles' ids
-  bool shared_unsupported_ = false;  // the service doesn't take this scene's positions so
   std::string name_;
+  SeatOptions seat_;
   KnownScene scene_;
-  std::uint64_t run_ = 0;         // Client::State::runs, when the scene was opened
-  bool replaced_ = false;         // it is another since then, and to be opened again
-  std::uint64_t generation_ = 0;  // of the connection on which the scene is open
+  std::uint64_t run_ = 0;              // Client::State::runs, when the scene was opened
+  bool replaced_ = false;              // it is another since then, and to be opened again
+  std::uint64_t generation_ = 0;       // of the connection on which the scene is open
+  std::uint64_t seat_generation_ = 0;  // 0: never had the seat
+  std::uint64_t seat_asked_ = 0;       // the last generation of the seat that was asked for
   int dims_ = 3;
-  int parts_count_ = 1;
-  bool pushed_ = false;   // the scene has positions
-  bool filled_ = true;    // if so: the ranks hold its particles
-  bool older_ = false;    // perhaps at older positions than those of the last step
-  bool has_ids_ = false;  // ids given by a solver
-  bool has_weights_ = false;
-  std::uint64_t count_ = 0;
-  std::uint64_t epoch_ = 0;
-  std::optional<std::int64_t> last_step_;
-  UnansweredStep unanswered_;
-  std::optional<layout::Layout> plan_;
-  std::vector<std::int64_t> ids_;    // by row, once the scene has them; empty: id = row
-  bool rows_assumed_ = false;        // ids_ was taken in ascending order: the caller hasn't said whose its rows are
-  std::vector<std::int32_t> parts_;  // by row
-  // By row, the parts last told to the caller; none: these are parts_.
-  std::optional<std::vector<std::int32_t>> known_;
-  SceneCuts cuts_;
-  bool when_needed_ = false;  // the ranks hold positions of the steps that need them alone
   std::string incarnation_;
+  bool when_needed_ = false;  // the ranks hold positions of the steps that need them alone
+  bool filled_ = true;        // the ranks hold the scene's particles, if it has any
+  bool has_ids_ = false;      // other than 0..n-1
+  bool has_weights_ = false;
+  std::uint64_t epoch_ = 0;
+  std::optional<std::int64_t> last_step_;  // none: the scene has no positions
+  UnansweredStep unanswered_;
+  SceneCuts cuts_;
   CountStep counted_;
-  std::uint64_t count_if_committed_ = 0;  // if the service commits the current push
-  bool began_ = false;                    // this Scene made the first push, so its rows are known
-  bool answered_ = false;                 // a step was answered, so the rows are known
-  bool told_ = false;                     // parts were told: changes are relative to them
-  bool missed_ = false;                   // a step was committed whose answer this Scene hasn't seen
-  bool base_unknown_ = false;             // if missed_: that step may have changed positions that the caller builds on
-  std::vector<double> weights_;           // by row; kept to bring them again, and to count
-  bool first_ = false;                    // the current step is this scene's first
+  RowsId rows_;                  // of the step before
+  std::vector<double> weights_;  // as given last, of weights_rows_
+  RowsId weights_rows_;
+  std::vector<std::int32_t> told_;  // the parts last told to the caller, of told_rows_
+  RowsId told_rows_;
+  SharedArrays arrays_;
+  Buffer<std::uint64_t> list_;      // of rows, rank after rank
+  Buffer<std::int64_t> numbers_;    // 0, 1, ...
+  Way way_ = Way::gateway;          // of the current attempt
+  bool share_unsupported_ = false;  // a rank, or this kernel, doesn't take this scene's positions so
 };
 
 }  // namespace rcb::client

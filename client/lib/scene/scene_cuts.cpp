@@ -57,18 +57,17 @@ wire::Json SceneCuts::known_json() const {
   return {{"epoch", known->epoch()}, {"hash", wire::hex64(known->hash())}};
 }
 
-Result<cuts::Cuts> SceneCuts::after_step(const Frame& answer, const wire::Json& json, Session& session,
-                                         const std::string& scene, const Retry& retry) const {
-  if (const auto told = json.find("cuts"); told != json.end()) return read_cuts(answer, *told);
-  const auto report = json.value("report", wire::Json::object());
-  const auto epoch = wire::integer_field_or(report, "epoch", 0, kLarge, 0);
-  if (known && epoch && static_cast<std::uint64_t>(*epoch) == known->epoch()) return *known;
-  return ask(session, scene, retry);
+Result<std::optional<cuts::Cuts>> SceneCuts::after_step(const Frame& answer, const wire::Json& json,
+                                                        std::uint64_t epoch) const {
+  const auto told = json.find("cuts");
+  if (told == json.end()) return known && known->epoch() == epoch ? known : std::nullopt;
+  auto found = read_cuts(answer, *told);
+  if (!found) return found.status();
+  return std::optional(std::move(*found));
 }
 
 Result<cuts::Cuts> SceneCuts::current(std::uint64_t epoch, Session& session, const std::string& scene,
                                       double deadline_seconds, const std::function<Status(const Retry&)>& hold) {
-  wanted = true;
   if (known && known->epoch() >= epoch) return *known;
   Retry retry(deadline_seconds);
   auto found = session.retry_until_deadline(retry, [&]() -> Result<cuts::Cuts> {

@@ -1,5 +1,4 @@
-// What a Scene or MemberScene knows of its scene's cuts: told with the answer to a push that says which ones it knows,
-// or asked for.
+// What a Scene knows of its scene's cuts: every push says which ones it knows, and the answer tells new ones.
 #pragma once
 
 #include <cstdint>
@@ -14,14 +13,12 @@ namespace rcb::client {
 
 struct SceneCuts {
   std::optional<cuts::Cuts> known;  // after the last step whose answer told them
-  bool wanted = false;              // by the caller: every push asks for new ones
 
   // The field "cuts_known" of a push.
   wire::Json known_json() const;
-  // The cuts after a step. answer, json: to its push. A repeated answer may come without them; then they are asked for,
-  // and are newer if another client has repartitioned since.
-  Result<cuts::Cuts> after_step(const Frame& answer, const wire::Json& json, Session& session, const std::string& scene,
-                                const Retry& retry) const;
+  // The cuts after a step. answer, json: to its push; epoch: after it. A repeated answer may come without them; then
+  // there are none, and those that are asked for are newer if another client has repartitioned since.
+  Result<std::optional<cuts::Cuts>> after_step(const Frame& answer, const wire::Json& json, std::uint64_t epoch) const;
   // One attempt: those in force.
   static Result<cuts::Cuts> ask(Session& session, const std::string& scene, const Retry& retry);
   // Those known, or those in force if the ones after the step that began `epoch` aren't known. hold: opens the scene.

@@ -62,7 +62,6 @@ Result<StepReport> read_report(const wire::Json& json) {
   if (json.contains("sent")) reader.flag("sent", report.sent);
   if (json.contains("positions_step") && !json["positions_step"].is_null())
     reader.count("positions_step", report.positions_step.emplace(0));
-  if (json.contains("first_id")) reader.count("first_id", report.first_id.emplace(0));
   reader.count("weights_as_zero", report.weights_as_zero);
   reader.count("bytes", report.bytes);
   if (json.contains("way")) reader.text("way", report.way);
@@ -81,11 +80,6 @@ Result<StepReport> read_report(const wire::Json& json) {
   if (!reader.status()) return reader.status();
   report.json = wire::dump_json(json);
   return report;
-}
-
-Status parts_unknown(std::int64_t step, const Status& why) {
-  return {why.code(), fmt::format("step {} is committed, but its parts are not known: {}", step, why.message()),
-          why.hint()};
 }
 
 }  // namespace rcb::client

@@ -9,7 +9,4 @@ namespace rcb::client {
 // Errors: protocol_error, naming the field.
 Result<StepReport> read_report(const wire::Json& json);
 
-// The error of a step that is committed, and why more can't be said of it.
-Status parts_unknown(std::int64_t step, const Status& why);
-
 }  // namespace rcb::client

@@ -22,12 +22,4 @@ void Content::add(const Positions& positions) {
       add_strided(sum_, positions.axis[a], positions.stride, positions.count);
 }
 
-void Content::add(const Insertion* inserted) {
-  add(std::uint64_t{inserted == nullptr ? 0U : 1U});
-  if (inserted == nullptr) return;
-  add(inserted->positions);
-  add(inserted->ids);
-  add(inserted->weights);
-}
-
 }  // namespace rcb::client

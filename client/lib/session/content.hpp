@@ -13,15 +13,6 @@ namespace rcb::client {
 class Content {
  public:
   void add(const Positions& positions);
-  void add(const Insertion* inserted);
-  // What a step of either kind of scene brings beside its positions.
-  template <typename Options>
-  void add_options(const Options& step) {
-    add(step.weights);
-    add(step.moved.value_or(std::span<const std::uint64_t>()));
-    add(step.removed);
-    add(step.inserted);
-  }
   template <typename T>
   void add(std::span<const T> values) {
     add(static_cast<std::uint64_t>(values.size()));

@@ -19,7 +19,7 @@ constexpr int kPollMillisecondsMax = 100;  // longest delay in noticing an early
 // Whether the columns are one (n, dims) array: column k is element k of each row.
 bool interleaved(std::span<const Column> columns) {
   for (std::size_t k = 0; k < columns.size(); ++k)
-    if (columns[k].by_rank != nullptr || columns[k].stride != columns.size() || columns[k].bytes != columns[0].bytes ||
+    if (columns[k].stride != columns.size() || columns[k].bytes != columns[0].bytes ||
         static_cast<const std::byte*>(columns[k].first) !=
             static_cast<const std::byte*>(columns[0].first) + k * columns[k].bytes)
       return false;
@@ -28,8 +28,8 @@ bool interleaved(std::span<const Column> columns) {
 
 // The axes of these rows of one (n, dims) array, axis after axis.
 template <std::size_t kDims, typename T>
-void gather_rows(const void* first, std::span<const std::uint64_t> rows, std::byte* out) {
-  const std::size_t count = rows.size();
+void gather_rows(const void* first, const Rows& rows, std::byte* out) {
+  const std::size_t count = rows.count;
   const T* values = static_cast<const T*>(first);
   T* to = reinterpret_cast<T*>(out);
   for (std::size_t i = 0; i < count; ++i) {
@@ -57,28 +57,25 @@ struct DataPath::Link {
     if (bytes > 0) pieces.push_back({const_cast<void*>(from), bytes});  // they are only read
   }
 
-  void next_frame(const wire::Json& slice, std::uint64_t request, std::span<const std::uint64_t> all,
-                  std::span<const Column> columns) {
-    const std::size_t most = std::max<std::size_t>(1, kFrameBytes / particle_bytes(columns));
-    const auto rows = all.subspan(sent, std::min<std::size_t>(most, all.size() - sent));
+  void next_frame(const wire::Json& slice, std::uint64_t request, const Rows& all, std::span<const Column> columns) {
+    const Rows rows = all.part(sent, std::max<std::size_t>(1, kFrameBytes / particle_bytes(columns)));
     wire::Json json = slice;
     json["rank"] = rank;
     json["first"] = sent;
-    head = slice_head(std::move(json), request, columns, rows.size());
+    head = slice_head(std::move(json), request, columns, rows.count);
     pieces.clear();
     piece = 0;
     add(head.data(), head.size());
     add_columns(rows, columns);
-    sent += rows.size();
+    sent += rows.count;
   }
 
-  void add_columns(std::span<const std::uint64_t> rows, std::span<const Column> columns) {
-    const bool run = std::ranges::any_of(columns, &Column::side_by_side) && consecutive(rows);
-    const auto in_place = [&](const Column& column) { return column.in_place(rank, sent, rows, run); };
-    if (!std::ranges::all_of(columns, in_place)) gather_columns(rows, run, columns);
+  void add_columns(const Rows& rows, std::span<const Column> columns) {
+    const auto in_place = [&rows](const Column& column) { return column.in_place(rows); };
+    if (!std::ranges::all_of(columns, in_place)) gather_columns(rows, columns);
     std::size_t begin = 0;
     for (const Column& column : columns) {
-      const std::size_t bytes = rows.size() * column.bytes;
+      const std::size_t bytes = rows.count * column.bytes;
       const std::byte* const own = in_place(column);
       add(own != nullptr ? own : gathered.data() + begin, bytes);
       begin += bytes;
@@ -86,20 +83,22 @@ struct DataPath::Link {
   }
 
   // One column after another; room is left for those that are sent from the caller's memory.
-  void gather_columns(std::span<const std::uint64_t> rows, bool run, std::span<const Column> columns) {
-    gathered.resize(rows.size() * particle_bytes(columns));
+  void gather_columns(const Rows& rows, std::span<const Column> columns) {
+    gathered.resize(rows.count * particle_bytes(columns));
     std::byte* to = gathered.data();
-    if (interleaved(columns)) {
+    const auto axes = static_cast<std::size_t>(std::ranges::count_if(columns, &Column::is_axis));
+    if (interleaved(columns.first(axes))) {
       const bool single = columns[0].bytes == sizeof(float);
-      if (columns.size() == 3)
+      if (axes == 3)
         (single ? gather_rows<3, float> : gather_rows<3, double>)(columns[0].first, rows, to);
       else
         (single ? gather_rows<2, float> : gather_rows<2, double>)(columns[0].first, rows, to);
-      return;
+      to += rows.count * axes * columns[0].bytes;
+      columns = columns.subspan(axes);
     }
     for (const Column& column : columns) {
-      if (!column.in_place(rank, sent, rows, run)) gather(column, rows, to);
-      to += rows.size() * column.bytes;
+      if (column.in_place(rows) == nullptr) gather(column, rows, to);
+      to += rows.count * column.bytes;
     }
   }
 };
@@ -145,7 +144,7 @@ Status DataPath::send(const wire::Json& slice, std::uint64_t request, const Rank
   std::size_t unfinished = 0;
   for (const auto& link : links_) {
     link->sent = 0;
-    link->done = rows[static_cast<std::size_t>(link->rank)].empty();
+    link->done = rows[static_cast<std::size_t>(link->rank)].count == 0;
     unfinished += link->done ? 0U : 1U;
   }
   bool stop = false;
@@ -155,11 +154,11 @@ Status DataPath::send(const wire::Json& slice, std::uint64_t request, const Rank
     full.clear();
     for (const auto& link : links_) {
       if (link->done) continue;
-      const auto all = rows[static_cast<std::size_t>(link->rank)];
+      const Rows& all = rows[static_cast<std::size_t>(link->rank)];
       if (link->between_frames() && !stop) link->next_frame(slice, request, all, columns);
       if (!link->between_frames())
         if (Status status = send_some(*link, moved); !status) return status;
-      if (link->between_frames() && (stop || link->sent == all.size())) {
+      if (link->between_frames() && (stop || link->sent == all.count)) {
         link->done = true;
         --unfinished;
       } else if (!link->between_frames()) {

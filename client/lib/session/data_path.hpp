@@ -13,12 +13,8 @@
 
 #include "client/lib/connect/connection.hpp"
 #include "client/lib/session/push_source.hpp"
-#include "common/layout/layout.hpp"
 
 namespace rcb::client {
-
-// Smaller pushes go to the endpoint in one write, which spares the coordination with the ranks.
-inline constexpr std::size_t kDirectBytesMin = std::size_t{1} << 18U;
 
 class DataPath {
  public:

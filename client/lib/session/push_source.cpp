@@ -1,6 +1,5 @@
 #include "client/lib/session/push_source.hpp"
 
-#include <algorithm>
 #include <cstring>
 
 #include "common/base/axis_names.hpp"
@@ -9,55 +8,41 @@
 namespace rcb::client {
 namespace {
 
-constexpr std::size_t kElementBytesMax = 8;
 constexpr std::size_t kBatchBytes = 1U << 20U;
-constexpr std::size_t kPiecesMax = 48;  // the number of pieces in one system call is limited
-
-Bytes bytes_of(const std::string& text) { return std::as_bytes(std::span(text)); }
 
 template <std::size_t kWidth>
-void gather_wide(const Column& column, std::span<const std::uint64_t> rows, std::byte* to) {
+void gather_wide(const Column& column, const Rows& rows, std::byte* to) {
   const std::byte* const first = static_cast<const std::byte*>(column.first);
   const std::size_t step = column.stride * kWidth;
-  if (step == kWidth)
-    for (std::size_t i = 0; i < rows.size(); ++i) std::memcpy(to + i * kWidth, first + rows[i] * kWidth, kWidth);
+  if (rows.list == nullptr)
+    for (std::size_t i = 0; i < rows.count; ++i) std::memcpy(to + i * kWidth, first + (rows.first + i) * step, kWidth);
   else
-    for (std::size_t i = 0; i < rows.size(); ++i) std::memcpy(to + i * kWidth, first + rows[i] * step, kWidth);
+    for (std::size_t i = 0; i < rows.count; ++i) std::memcpy(to + i * kWidth, first + rows.list[i] * step, kWidth);
 }
 
 }  // namespace
 
-bool consecutive(std::span<const std::uint64_t> rows) {
-  for (std::size_t i = 1; i < rows.size(); ++i)
-    if (rows[i] != rows[i - 1] + 1) return false;
-  return true;
-}
-
-void gather(const Column& column, std::span<const std::uint64_t> rows, std::byte* to) {
+void gather(const Column& column, const Rows& rows, std::byte* to) {
   (column.bytes == sizeof(double) ? gather_wide<sizeof(double)> : gather_wide<sizeof(float)>)(column, rows, to);
 }
 
-std::vector<Column> columns_of(const Positions& positions, std::span<const double> weights) {
+std::vector<Column> columns_of(const Positions& positions, std::span<const double> weights,
+                               std::span<const std::int64_t> ids) {
   std::vector<Column> columns;
   for (std::size_t a = 0; a < static_cast<std::size_t>(positions.dims); ++a)
     if (positions.single())
-      columns.push_back({kAxisNames[a], "<f4", positions.axis_f4[a], positions.stride, nullptr, sizeof(float)});
+      columns.push_back({kAxisNames[a], "<f4", positions.axis_f4[a], positions.stride, sizeof(float)});
     else
       columns.push_back({kAxisNames[a], "<f8", positions.axis[a], positions.stride});
-  if (!weights.empty()) columns.push_back({"w", "<f8", weights.data(), 1});
+  if (!weights.empty()) columns.push_back({"w", "<f8", weights.data()});
+  if (!ids.empty()) columns.push_back({"id", "<i8", ids.data()});
   return columns;
 }
 
 wire::Json slice_json(const wire::Json& begin) {
   wire::Json slice{{"command", "push.slice"}};
-  for (const char* name : {"scene", "session", "step", "attempt", "plan"}) slice[name] = begin.at(name);
+  for (const char* name : {"scene", "session", "step", "attempt"}) slice[name] = begin.at(name);
   return slice;
-}
-
-RankRows all_rows(const layout::Layout& plan) {
-  RankRows rows;
-  for (int rank = 0; rank < plan.ranks(); ++rank) rows.push_back(plan.rows(rank));
-  return rows;
 }
 
 std::size_t particle_bytes(std::span<const Column> columns) {
@@ -77,77 +62,34 @@ std::string slice_head(wire::Json slice, std::uint64_t request, std::span<const 
   return wire::encode_frame(header, wire::dump_json(slice));
 }
 
-PushSource::PushSource(const wire::Json& begin, std::uint64_t request, RankRows rows, std::vector<Column> columns,
-                       const std::string& edits, int edit_slices)
-    : rows_(std::move(rows)), columns_(std::move(columns)), request_(request), slice_json_(slice_json(begin)) {
-  wire::Json json = begin;
-  json["command"] = "push.begin";
-  int slices = edit_slices;
-  for (const auto& of_rank : rows_) slices += of_rank.empty() ? 0 : 1;
-  json["slices"] = slices;
-  begin_frame_ = request_frame(request, json) + edits;
+PushSource::PushSource(const wire::Json& begin, std::uint64_t request, std::size_t count, std::vector<Column> columns)
+    : head_(request_frame(request, begin)), columns_(std::move(columns)), count_(count) {
+  if (count > 0)
+    head_ += slice_head(slice_json(begin), request, columns_, count);
+  else
+    columns_.clear();
 }
 
-// Begins the frame of rank_'s slice.
-void PushSource::begin_slice() {
-  wire::Json json = slice_json_;
-  json["rank"] = rank_;
-  heads_.push_back(slice_head(std::move(json), request_, columns_, rows_[static_cast<std::size_t>(rank_)].size()));
-  batch_.push_back(bytes_of(heads_.back()));
-  batch_bytes_ += heads_.back().size();
-  in_slice_ = true;
-  column_ = 0;
-  slot_ = 0;
-}
-
-// Adds as much of the current column as fits into the batch.
-void PushSource::add_stretch() {
-  const Column& column = columns_[column_];
-  const auto all = rows_[static_cast<std::size_t>(rank_)];
-  const std::size_t width = column.bytes;
-  const std::size_t room = (kBatchBytes - std::min(batch_bytes_, kBatchBytes - width)) / width;
-  const auto rows = all.subspan(slot_, std::min<std::size_t>(all.size() - slot_, room));
-  const std::size_t bytes = rows.size() * width;
-  const bool run = column.side_by_side() && consecutive(rows);  // looks at every row of a run
-  if (const std::byte* const values = column.in_place(rank_, slot_, rows, run)) {
-    batch_.emplace_back(values, bytes);
-  } else {
-    if (gathered_.empty()) gathered_.resize(kBatchBytes + kElementBytesMax);
-    std::byte* to = gathered_.data() + gathered_bytes_;
-    gather(column, rows, to);
-    batch_.emplace_back(to, bytes);
-    gathered_bytes_ += bytes;
-  }
-  batch_bytes_ += bytes;
-  slot_ += rows.size();
-  if (slot_ < all.size()) return;
-  slot_ = 0;
-  if (++column_ < columns_.size()) return;
-  in_slice_ = false;
-  ++rank_;
-}
-
-std::span<const Bytes> PushSource::next(bool answered) {
+std::span<const Bytes> PushSource::next() {
   batch_.clear();
-  heads_.clear();
-  heads_.reserve(kPiecesMax);  // batch_ points into its strings, which must not move
-  batch_bytes_ = 0;
-  gathered_bytes_ = 0;
-  if (!begin_frame_.empty()) {
-    heads_.push_back(std::move(begin_frame_));
-    begin_frame_.clear();
-    batch_.push_back(bytes_of(heads_.back()));
-    batch_bytes_ = heads_.back().size();
-  }
-  while (batch_bytes_ < kBatchBytes && batch_.size() < kPiecesMax) {
-    if (!in_slice_) {
-      const int ranks = static_cast<int>(rows_.size());
-      while (rank_ < ranks && rows_[static_cast<std::size_t>(rank_)].empty()) ++rank_;
-      if (rank_ >= ranks || answered) break;
-      begin_slice();
-      continue;
+  if (!std::exchange(begun_, true)) batch_.push_back(std::as_bytes(std::span(head_)));
+  const Rows all{.count = count_};
+  for (std::size_t used = 0; column_ < columns_.size() && used < kBatchBytes;) {
+    const Column& column = columns_[column_];
+    Rows rows = all.part(row_, count_);
+    if (const std::byte* const values = column.in_place(rows)) {
+      batch_.emplace_back(values, rows.count * column.bytes);
+    } else {
+      rows = rows.part(0, std::max<std::size_t>(1, (kBatchBytes - used) / column.bytes));
+      gathered_.resize(kBatchBytes + column.bytes);
+      gather(column, rows, gathered_.data() + used);
+      batch_.emplace_back(gathered_.data() + used, rows.count * column.bytes);
+      used += rows.count * column.bytes;
     }
-    add_stretch();
+    row_ += rows.count;
+    if (row_ < count_) continue;
+    row_ = 0;
+    ++column_;
   }
   return batch_;
 }

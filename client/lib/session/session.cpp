@@ -12,6 +12,7 @@
 #include <sys/random.h>
 
 #include "client/lib/session/data_path.hpp"
+#include "client/lib/session/push_source.hpp"
 #include "common/base/text.hpp"
 #include "common/files/endpoint_lock.hpp"
 #include "common/files/paths.hpp"
@@ -27,10 +28,10 @@ constexpr std::string_view kEndpointListener = "endpoint";
 
 // Commands that change nothing, or whose repetition changes nothing more.
 bool repeatable(std::string_view command) {
-  constexpr std::array<std::string_view, 20> kRepeatable{
-      "status", "scene.open", "scene.close", "scene.list",  "scene.show", "plan",      "error",
-      "counts", "cuts",       "history",     "stats",       "owner",      "box",       "assign",
-      "fetch",  "quality",    "compare",     "write_parts", "halo",       "neighbours"};
+  constexpr std::array<std::string_view, 19> kRepeatable{
+      "status",  "scene.open", "scene.close", "scene.list", "scene.show", "error",  "counts",
+      "cuts",    "history",    "stats",       "owner",      "box",        "assign", "fetch",
+      "quality", "compare",    "write_parts", "halo",       "neighbours"};
   return std::find(kRepeatable.begin(), kRepeatable.end(), command) != kRepeatable.end();
 }
 
@@ -319,13 +320,10 @@ Result<Frame> Session::await_answer(Connection& link, std::uint64_t request, con
   }
 }
 
-Result<Frame> Session::exchange(std::uint64_t request, FrameSource& source, const std::string& what,
+Result<Frame> Session::exchange(std::uint64_t request, PushSource& source, const std::string& what,
                                 const Deadline& deadline) {
   if (!connection_) return lost_connection();  // by an earlier request of the same attempt
-  for (;;) {
-    const auto bytes = source.next(connection_->has_frame());
-    if (bytes.empty() || !connection_->write(bytes, deadline)) break;
-  }
+  for (auto bytes = source.next(); !bytes.empty() && connection_->write(bytes, deadline);) bytes = source.next();
   return await_answer_to(request, what, deadline);
 }
 

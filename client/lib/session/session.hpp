@@ -28,28 +28,21 @@
 #include "common/auth/proof.hpp"
 #include "common/base/status.hpp"
 #include "common/files/shared_memory.hpp"
-#include "common/layout/layout.hpp"
 #include "common/wire/message.hpp"
 
 namespace rcb::client {
 
 class DataPath;
+class PushSource;
 struct Column;
+struct Rows;
+using RankRows = std::vector<Rows>;  // by rank, in the order to be sent
 
 inline constexpr double kCloseSeconds = 2;                                        // for scene.close in a destructor
 inline constexpr std::int64_t kLarge = std::numeric_limits<std::int64_t>::max();  // accepted of the service's counters
 
 // A request without arrays, as bytes.
 std::string request_frame(std::uint64_t request, const wire::Json& json);
-
-// Makes the bytes of a request while they are sent.
-class FrameSource {
- public:
-  virtual ~FrameSource() = default;
-  // The next bytes, valid until the next call; empty: the end. answered: the answer has come already, so the remaining
-  // frames need not be sent.
-  virtual std::span<const Bytes> next(bool answered) = 0;
-};
 
 class Session {
  public:
@@ -103,7 +96,7 @@ class Session {
 
   // Sends a request on the current connection and waits for its answer. If the connection is lost, connected() is false
   // afterwards.
-  Result<Frame> exchange(std::uint64_t request, FrameSource& source, const std::string& what, const Deadline& deadline);
+  Result<Frame> exchange(std::uint64_t request, PushSource& source, const std::string& what, const Deadline& deadline);
   // The connections to the ranks themselves, opened if that wasn't tried yet; null if there are none.
   DataPath* data(const Deadline& deadline);
   // Rises whenever data() is opened anew; what was shared over older connections is shared no more.
@@ -125,15 +118,9 @@ class Session {
   // Sends whole frames to the endpoint and waits for the answer.
   Result<Frame> exchange_frames(std::uint64_t request, const std::string& frames, const std::string& what,
                                 const Deadline& deadline);
-  // Sends `begin` (whole frames) to the endpoint and the slices over data().
-  Result<Frame> exchange_directly(std::uint64_t request, const std::string& begin, const wire::Json& slice,
-                                  const std::vector<std::span<const std::uint64_t>>& rows,
+  // Sends push.begin to the endpoint and the slices of these rows over data().
+  Result<Frame> exchange_directly(std::uint64_t request, const wire::Json& begin, const RankRows& rows,
                                   std::span<const Column> columns, const std::string& what, const Deadline& deadline);
-  // Likewise for a push from shared memory: the ranks that don't share it get slices of these rows, in layout order.
-  // edits: frames.
-  Result<Frame> exchange_shared(std::uint64_t request, wire::Json begin, const std::string& edits,
-                                std::vector<std::span<const std::uint64_t>> rows, std::span<const Column> columns,
-                                const std::string& what, const Deadline& deadline);
   Path path() const { return options_.path; }
   // True once after a push whose direct path broke; the next push takes another path, or new connections.
   bool data_lost();

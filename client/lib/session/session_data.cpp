@@ -124,16 +124,15 @@ void Session::give_up_data() {
   data_tried_ = options_.path != Path::direct;
 }
 
-Result<Frame> Session::exchange_directly(std::uint64_t request, const std::string& begin, const wire::Json& slice,
-                                         const std::vector<std::span<const std::uint64_t>>& rows,
+Result<Frame> Session::exchange_directly(std::uint64_t request, const wire::Json& begin, const RankRows& rows,
                                          std::span<const Column> columns, const std::string& what,
                                          const Deadline& deadline) {
   if (!connection_) return lost_connection();
   // Lost when memory was taken back from the ranks, for one.
   if (data_ == nullptr) return Status(Code::aborted, "the connections to the ranks were lost");
-  if (connection_->write(begin, deadline)) {
+  if (connection_->write(request_frame(request, begin), deadline)) {
     const auto answered = [this] { return connection_->has_frame(); };
-    const Status sent = data_->send(slice, request, rows, columns, answered, deadline);
+    const Status sent = data_->send(slice_json(begin), request, rows, columns, answered, deadline);
     if (!sent) {
       give_up_data();
       return Status(Code::aborted, sent.message(), sent.hint());
@@ -154,18 +153,6 @@ Result<Frame> Session::exchange_directly(std::uint64_t request, const std::strin
     data_stalls_ = 0;
   }
   return answer;
-}
-
-Result<Frame> Session::exchange_shared(std::uint64_t request, wire::Json begin, const std::string& edits, RankRows rows,
-                                       std::span<const Column> columns, const std::string& what,
-                                       const Deadline& deadline) {
-  const std::vector<int> apart = ranks_apart();
-  if (apart.empty()) return exchange_frames(request, request_frame(request, begin) + edits, what, deadline);
-  begin["sockets"] = apart;
-  for (int rank = 0; rank < ranks_; ++rank)
-    if (shares_with(rank)) rows[static_cast<std::size_t>(rank)] = {};
-  return exchange_directly(request, request_frame(request, begin) + edits, slice_json(begin), rows, columns, what,
-                           deadline);
 }
 
 }  // namespace rcb::client

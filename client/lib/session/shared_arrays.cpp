@@ -149,30 +149,20 @@ bool SharedArrays::gave(const Positions& positions) const {
   return true;
 }
 
-Status SharedArrays::list_rows(const Values& values, std::size_t count, Session& session, const Deadline& deadline) {
-  if (8 * count > lists_.memory.size()) listed_.reset();
+Result<std::span<std::uint64_t>> SharedArrays::row_list(std::size_t count) {
   if (Status status = make_room(lists_, 8 * count); !status) return status;
-  std::byte* to = lists_.memory.writable().data();
-  if (!values.layout || values.layout != listed_)
-    for (const auto& of_rank : values.rows) {
-      if (!of_rank.empty()) std::memcpy(to, of_rank.data(), of_rank.size_bytes());
-      to += of_rank.size_bytes();
-    }
-  listed_ = values.layout;
-  return share(lists_, session, deadline);
+  return std::span(reinterpret_cast<std::uint64_t*>(lists_.memory.writable().data()), count);
 }
 
 Result<wire::Json> SharedArrays::describe(Session& session, const Values& values, const Deadline& deadline) {
   const Positions& positions = values.positions;
   const auto dims = static_cast<std::size_t>(positions.dims);
   const bool in_place = gave(positions);
-  std::size_t listed = 0;
-  for (const auto& of_rank : values.rows) listed += of_rank.size();
   const std::size_t copied =
       (in_place ? 0 : dims * axis_bytes(positions)) + 8 * (values.weights.size() + values.ids.size());
   if (Status status = make_room(copies_, copied); !status) return status;
-  if (listed > 0)
-    if (Status status = list_rows(values, listed, session, deadline); !status) return status;
+  if (values.listed > 0)
+    if (Status status = share(lists_, session, deadline); !status) return status;
   if (in_place)
     if (Status status = share(given_, session, deadline); !status) return status;
   if (copied > 0)
@@ -205,7 +195,7 @@ Result<wire::Json> SharedArrays::describe(Session& session, const Values& values
     add(copies_, "id", {to, 8});
     copy(values.ids);
   }
-  if (listed > 0) add(lists_, "row", {lists_.memory.bytes().data(), 8});
+  if (values.listed > 0) add(lists_, "row", {lists_.memory.bytes().data(), 8});
   return arrays;
 }
 

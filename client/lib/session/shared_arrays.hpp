@@ -38,11 +38,10 @@ class SharedArrays {
     const Positions& positions;
     std::span<const double> weights = {};
     std::span<const std::int64_t> ids = {};
-    // By rank, in the order of its slots: where the ranks don't find the particles by their ids.
-    std::span<const std::span<const std::uint64_t>> rows = {};
-    // The number and version of the layout that they are: for the same ones as last time, nothing is copied.
-    std::optional<std::pair<std::uint64_t, std::uint64_t>> layout = {};
+    std::size_t listed = 0;  // how many rows row_list() holds
   };
+  // Memory for the list that says, rank after rank, which rows each is to take. Errors: too_large, io_error.
+  Result<std::span<std::uint64_t>> row_list(std::size_t count);
   // The field "memory" of such a push. Copies what isn't in the arrays given out, and shares memory with the ranks
   // where that wasn't done on these connections. Errors: of Session::share, io_error.
   Result<wire::Json> describe(Session& session, const Values& values, const Deadline& deadline);
@@ -74,17 +73,13 @@ class SharedArrays {
   // What the block held is lost if it has to grow.
   static Status make_room(Block& block, std::size_t bytes);
   static Status share(Block& block, Session& session, const Deadline& deadline);
-  // Puts the rows into lists_, unless they are there.
-  Status list_rows(const Values& values, std::size_t count, Session& session, const Deadline& deadline);
-
   Block given_;              // to the solver
   Buffer<std::byte> plain_;  // instead, where memory can't be shared
   Order order_ = Order::rows;
   std::size_t capacity_ = 0;  // positions in given_
   std::size_t point_bytes_ = 0;
   Block copies_;
-  Block lists_;                                                    // of rows
-  std::optional<std::pair<std::uint64_t, std::uint64_t>> listed_;  // the layout of lists_
+  Block lists_;  // of rows
 };
 
 }  // namespace rcb::client

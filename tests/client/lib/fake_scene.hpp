@@ -1,13 +1,12 @@
-// A scene as a service would keep it, simple enough to be believed: particles by id, a part for each from a formula,
-// its own copy of the plan, by the plain rules of tests/support/protocol.hpp. Its cuts are always the same, x = 1, 2,
-// ...: where a test wants to know parts, the x of its positions is to lie between that of the part and the next. It
-// checks every push against what the test pushes and answers it, or does what it is told.
+// A scene as a service would keep it, simple enough to be believed: particles by id. Its cuts are always the same, x =
+// 1, 2, ...: the x of its positions is to lie between that of the part and the next. It checks every push against what
+// the test pushes and answers it, or does what it is told.
 #pragma once
 
 #include <algorithm>
 #include <array>
-#include <map>
 #include <numeric>
+#include <set>
 
 #include "tests/client/lib/fake_service.hpp"
 #include "tests/client/lib/told_cuts.hpp"
@@ -18,15 +17,13 @@ class FakeScene {
  public:
   enum class Fault {
     none,
-    stale,                // forgets the client's plan and says so
     late,                 // reads the push, and says only that it wasn't done in time
     taken,                // commits, as if another session had pushed this number, and says so
     close_before_commit,  // reads the push, then closes
     close_after_commit,   // commits, then closes without an answer
     close_in_answer,      // commits and sends half of the answer
     late_after_commit,    // commits, and says only that it wasn't done in time
-    busy_early,           // refuses at push.begin, then reads the slices
-    wrong_checksum,       // commits, with a plan that isn't what the client derives
+    busy_early,           // refuses at push.begin, then reads the slice
     die_before_commit,    // reads the push, then is started again, and its ranks hold nothing
     die_after_commit,     // commits, then the same
   };
@@ -35,10 +32,6 @@ class FakeScene {
 
   // What the n-th push.begin (from 0) meets.
   std::function<Fault(int)> fault = [](int) { return Fault::none; };
-  // The part of particle `id` after a step.
-  std::function<std::int32_t(std::int64_t id, std::int64_t step)> part_of = [](std::int64_t, std::int64_t) {
-    return 0;
-  };
   // What the test pushes, by id.
   std::function<double(std::int64_t id, std::size_t axis, std::int64_t step)> position;
 
@@ -49,14 +42,13 @@ class FakeScene {
 
   std::vector<std::string> sessions;
   std::vector<std::int64_t> attempts;
-  std::vector<protocol::Json> cuts_known;  // as each push.begin says; null: it doesn't
+  std::vector<protocol::Json> begun;
   std::function<void(ToldCuts&)> spoil_cuts = [](ToldCuts&) {};
   std::vector<std::string> commands;
-  int slices_read = 0;
   int commits = 0;
   bool empty_now = false;  // the scene was dropped
   int restarts = 0;
-  int refills = 0;
+  int refills = 0;                                    // steps that brought particles to ranks that held none
   protocol::Json options = protocol::Json::object();  // more of what scene.open tells
   std::vector<double> weights;                        // as pushed last, by row
   std::optional<std::int64_t> step;
@@ -91,8 +83,6 @@ class FakeScene {
         peer.reply(*frame, protocol::Json::object());
       } else if (command == "scene.close") {
         peer.reply(*frame, protocol::Json::object());
-      } else if (command == "plan") {
-        send_plan(peer, *frame);
       } else if (command == "cuts") {
         const ToldCuts cuts = cuts_now();
         if (step)
@@ -110,7 +100,6 @@ class FakeScene {
   }
 
  private:
-  using Slices = std::map<int, Received>;  // by rank
   static constexpr std::array<const char*, 3> kAxes{"x", "y", "z"};
 
   ToldCuts cuts_now() const {
@@ -133,21 +122,6 @@ class FakeScene {
     json.update(options);
     return json;
   }
-  void send_plan(Peer& peer, const Received& request) const {
-    std::vector<std::int64_t> ids;
-    std::vector<std::int32_t> parts;
-    std::vector<std::uint64_t> counts;
-    for (const auto& of_rank : plan_->slots) {
-      counts.push_back(of_rank.size());
-      for (const std::int64_t id : of_rank) {
-        ids.push_back(id);
-        parts.push_back(part_.at(id));
-      }
-    }
-    peer.reply(request, {{"counts", counts}, {"plan", plan_->json()}, {"parts", parts_}, {"ranks", ranks_}},
-               {protocol::array_of("id", "<i8", ids), protocol::array_of("part", "<i4", parts)}, true);
-  }
-
   // False: the connection ends.
   bool count(Peer& peer, const Received& request) {
     const int n = static_cast<int>(counted.size());
@@ -159,7 +133,7 @@ class FakeScene {
     if (!answer.is_null()) return peer.reply(request, answer);
     const bool repeated = step == number;
     answer["previous_step"] = *step;
-    answer["report"] = report(number, 0);
+    answer["report"] = report(number);
     answer["report"].update({{"sent", false}, {"way", "count"}, {"drifted", request.json["drifted"]}});
     if (repeated) answer["repeated"] = true;
     step = number;
@@ -172,46 +146,33 @@ class FakeScene {
   bool push(Peer& peer, const Received& begin) {
     const Fault now = fault(static_cast<int>(attempts.size()));
     attempts.push_back(begin.json["attempt"].get<std::int64_t>());
-    cuts_known.push_back(begin.json.value("cuts_known", protocol::Json()));
+    begun.push_back(begin.json);
     const auto number = begin.json["step"].get<std::int64_t>();
-    if (now == Fault::busy_early) {
-      peer.fail(begin, {Code::busy, "held by another"});
-      // Slices that the client had begun are read by serve(), as a service reads and drops them.
-      return true;
-    }
-    const bool first = !step;
-    Slices slices;
-    for (int i = 0; i < begin.json["slices"].get<int>(); ++i) {
-      auto slice = peer.receive();
+    // A slice that the client has begun is read by serve(), as a service reads and drops it.
+    if (now == Fault::busy_early) return peer.fail(begin, {Code::busy, "held by another"});
+    std::optional<Received> slice;
+    if (begin.json["n"] > 0) {
+      slice = peer.receive();
       if (!slice) return false;
-      EXPECT_EQ(slice->json["command"], "push.slice");
-      const int rank = slice->json["rank"].get<int>();
-      EXPECT_TRUE(slices.emplace(rank, std::move(*slice)).second) << "two slices of rank " << rank;
     }
-    slices_read += static_cast<int>(slices.size());
     if (now == Fault::die_before_commit) return restart();
     if (now == Fault::close_before_commit) return false;
-    if (now == Fault::late) {
-      peer.fail(begin, {Code::deadline_exceeded, "it was late"});
-      return true;
-    }
-    if (begin.json.value("refill", false)) return refill(peer, begin, slices, now);
-    if (step == number) {
-      peer.reply(begin, {{"report", report(number, 0)}, {"plan", plan_->json()}, {"repeated", true}});
-      return true;
-    }
-    if (!first && !filled_) {
-      peer.fail(begin, {Code::base_lost, "the ranks hold no particles"});
-      return true;
-    }
-    if (first) take_ids(begin, slices);
-    if (now == Fault::stale || (!first && begin.json["plan"] != plan_->json())) {
-      peer.fail(begin, {Code::stale_plan, "fetch the plan"});
-      return true;
-    }
-    check_slices(begin, slices, number);
-    if (begin.json["weights"] == true) take_weights(slices);
-    return commit(peer, begin, number, first, now);
+    if (now == Fault::late) return peer.fail(begin, {Code::deadline_exceeded, "it was late"});
+    if (step == number) return peer.reply(begin, {{"report", report(number)}, {"repeated", true}});
+    std::vector<std::int64_t> ids(begin.json["n"].get<std::size_t>());
+    std::iota(ids.begin(), ids.end(), 0);
+    if (begin.json.value("ids", false)) ids = slice->values<std::int64_t>("id");
+    if (step && ids.size() + begin.json["removed"].get<std::size_t>() !=
+                    ids_.size() + begin.json["inserted"].get<std::size_t>())
+      return peer.fail(begin, {Code::not_conserved, "others were there"});
+    if (step && weights_ && !begin.json.value("weights", false))
+      return peer.fail(begin, {Code::invalid_argument, "the push has no weights"});
+    if (slice) check_slice(begin, *slice, ids, number);
+    has_ids_ = std::ranges::any_of(ids, [&](std::int64_t id) { return id >= static_cast<std::int64_t>(ids.size()); });
+    weights_ = begin.json.value("weights", false);
+    weights = weights_ ? slice->values<double>("w") : std::vector<double>();
+    ids_ = {ids.begin(), ids.end()};
+    return commit(peer, begin, number, now);
   }
 
   bool restart() {
@@ -220,32 +181,8 @@ class FakeScene {
     return false;
   }
 
-  // The positions of the step after: a particle is in the part in whose region its x lies.
-  bool refill(Peer& peer, const Received& begin, const Slices& slices, Fault now) {
-    EXPECT_FALSE(filled_);
-    EXPECT_EQ(begin.json["step"], *step);
-    const auto before = ids_;
-    take_ids(begin, slices);
-    EXPECT_EQ(ids_, before);
-    check_slices(begin, slices, *step + 1);
-    if (weights_) take_weights(slices);
-    for (const auto& [rank, slice] : slices) {
-      const auto x = slice.values<double>("x");
-      const auto& ids = plan_->slots[static_cast<std::size_t>(rank)];
-      for (std::size_t i = 0; i < ids.size(); ++i) part_[ids[i]] = static_cast<std::int32_t>(x[i]);
-    }
-    plan_->commit(part_, parts_, true);
-    filled_ = true;
-    ++refills;
-    if (now == Fault::die_after_commit) return restart();
-    peer.reply(begin, {{"refilled", true}, {"plan", plan_->json()}});
-    return true;
-  }
-
   void clear() {
     step.reset();
-    plan_.reset();
-    part_.clear();
     epoch = 0;
     filled_ = true;
     ids_.clear();
@@ -253,95 +190,44 @@ class FakeScene {
     weights.clear();
   }
 
-  void take_weights(const Slices& slices) {
-    weights_ = true;
-    std::map<std::int64_t, double> by_id;
-    for (const auto& [rank, slice] : slices) {
-      const auto values = slice.values<double>("w");
-      const auto& ids = plan_->slots[static_cast<std::size_t>(rank)];
-      for (std::size_t i = 0; i < ids.size(); ++i) by_id[ids[i]] = values.at(i);
-    }
-    weights.clear();
-    for (const std::int64_t id : ids_) weights.push_back(by_id.at(id));
-  }
-
-  // Every rank's slice: what it says of itself, and value by value.
-  void check_slices(const Received& begin, const Slices& slices, std::int64_t number) {
+  // What the slice says of itself, and value by value.
+  void check_slice(const Received& begin, const Received& slice, const std::vector<std::int64_t>& ids,
+                   std::int64_t number) {
     EXPECT_EQ(begin.json["session"], sessions.back());
-    EXPECT_EQ(begin.json["plan"], plan_->json());
-    EXPECT_EQ(begin.json["n"], ids_.size());
-    std::size_t with_particles = 0;
-    for (std::size_t rank = 0; rank < plan_->slots.size(); ++rank) {
-      const auto& ids = plan_->slots[rank];
-      if (ids.empty()) continue;
-      ++with_particles;
-      const auto found = slices.find(static_cast<int>(rank));
-      ASSERT_NE(found, slices.end()) << "no slice of rank " << rank;
-      const Received& slice = found->second;
-      for (const char* field : {"scene", "session", "step", "attempt", "plan"})
-        EXPECT_EQ(slice.json[field], begin.json[field]) << field;
-      EXPECT_EQ(slice.json["count"], ids.size());
-      protocol::Json arrays = protocol::Json::array();
-      const auto describe = [&](const char* name, const char* dtype) {
-        arrays.push_back({{"name", name}, {"dtype", dtype}, {"shape", {ids.size()}}});
-      };
-      for (std::size_t axis = 0; axis < static_cast<std::size_t>(dims_); ++axis) describe(kAxes[axis], "<f8");
-      if (begin.json["weights"] == true) describe("w", "<f8");
-      if (begin.json["ids"] == true) describe("id", "<i8");
-      ASSERT_EQ(slice.json["arrays"], arrays);
-      std::size_t wrong = 0;
-      for (std::size_t axis = 0; axis < static_cast<std::size_t>(dims_); ++axis) {
-        const auto values = slice.values<double>(kAxes[axis]);
-        for (std::size_t i = 0; i < ids.size(); ++i) wrong += values[i] != position(ids[i], axis, number) ? 1U : 0U;
-      }
-      EXPECT_EQ(wrong, 0U) << "rank " << rank << " step " << number;
+    EXPECT_EQ(begin.json["path"], "gateway");
+    EXPECT_EQ(slice.json["command"], "push.slice");
+    for (const char* field : {"scene", "session", "step", "attempt"})
+      EXPECT_EQ(slice.json[field], begin.json[field]) << field;
+    EXPECT_EQ(slice.json["count"], ids.size());
+    protocol::Json arrays = protocol::Json::array();
+    const auto describe = [&](const char* name, const char* dtype) {
+      arrays.push_back({{"name", name}, {"dtype", dtype}, {"shape", {ids.size()}}});
+    };
+    for (std::size_t axis = 0; axis < static_cast<std::size_t>(dims_); ++axis) describe(kAxes[axis], "<f8");
+    if (begin.json["weights"] == true) describe("w", "<f8");
+    if (begin.json["ids"] == true) describe("id", "<i8");
+    ASSERT_EQ(slice.json["arrays"], arrays);
+    std::size_t wrong = 0;
+    for (std::size_t axis = 0; axis < static_cast<std::size_t>(dims_); ++axis) {
+      const auto values = slice.values<double>(kAxes[axis]);
+      for (std::size_t i = 0; i < ids.size(); ++i) wrong += values[i] != position(ids[i], axis, number) ? 1U : 0U;
     }
-    EXPECT_EQ(with_particles, slices.size());
+    EXPECT_EQ(wrong, 0U) << "step " << number;
   }
 
-  // At a first push: the solver's own, in its order, or 0..n-1.
-  void take_ids(const Received& begin, const Slices& slices) {
-    has_ids_ = begin.json["ids"] == true;
-    ids_.assign(has_ids_ ? 0 : begin.json["n"].get<std::size_t>(), 0);
-    std::iota(ids_.begin(), ids_.end(), 0);
-    if (has_ids_)
-      for (const auto& [rank, slice] : slices)
-        for (const std::int64_t id : slice.values<std::int64_t>("id")) ids_.push_back(id);
-    plan_.emplace(ids_, ranks_);
-  }
-
-  bool commit(Peer& peer, const Received& begin, std::int64_t number, bool first, Fault now) {
-    std::map<std::int64_t, std::int32_t> after;
-    for (const std::int64_t id : ids_) after[id] = part_of(id, number);
-    std::vector<std::int64_t> ids;
-    std::vector<std::int32_t> parts;
-    for (const auto& [id, part] : after) {
-      if (!first && part_.at(id) == part) continue;
-      ids.push_back(id);
-      parts.push_back(part);
-    }
-    part_ = std::move(after);
-    plan_->commit(part_, parts_, first);
-    if (first) epoch = 1;
+  bool commit(Peer& peer, const Received& begin, std::int64_t number, Fault now) {
+    if (!step) epoch = 1;
+    if (!filled_) ++refills;
     filled_ = true;
     step = number;
     ++commits;
     if (now == Fault::die_after_commit) return restart();
     if (now == Fault::close_after_commit) return false;
-    if (now == Fault::taken) {
-      peer.fail(begin, {Code::stale_step, "another session's"});
-      return true;
-    }
-    if (now == Fault::late_after_commit) {
-      peer.fail(begin, {Code::deadline_exceeded, "it goes on"});
-      return true;
-    }
-    protocol::Json plan = plan_->json();
-    if (now == Fault::wrong_checksum) plan["checksum"] = "0123456789abcdef";
-    protocol::Json answer{{"report", report(number, ids.size())}, {"plan", plan}};
-    std::vector<protocol::Array> arrays{protocol::array_of("changed_id", "<i8", ids),
-                                        protocol::array_of("changed_part", "<i4", parts)};
-    if (begin.json.contains("cuts_known")) cuts_now().add_unless_known(begin.json["cuts_known"], answer, arrays);
+    if (now == Fault::taken) return peer.fail(begin, {Code::stale_step, "another session's"});
+    if (now == Fault::late_after_commit) return peer.fail(begin, {Code::deadline_exceeded, "it goes on"});
+    protocol::Json answer{{"report", report(number)}};
+    std::vector<protocol::Array> arrays;
+    cuts_now().add_unless_known(begin.json["cuts_known"], answer, arrays);
     std::string bytes = protocol::frame(protocol::FrameType::reply, begin.request, answer, arrays, number % 2 == 0);
     if (now == Fault::close_in_answer) bytes.resize(bytes.size() / 2);
     peer.send(protocol::FrameType::notice, begin.request, {{"notice", "nearly done"}});
@@ -349,7 +235,7 @@ class FakeScene {
     return now != Fault::close_in_answer;
   }
 
-  protocol::Json report(std::int64_t number, std::size_t moved) const {
+  protocol::Json report(std::int64_t number) const {
     return {{"scene", "s"},
             {"step", number},
             {"epoch", epoch},
@@ -361,7 +247,7 @@ class FakeScene {
             {"repartitioned", number == 0},
             {"reason", "because"},
             {"axes_flipped", 2},
-            {"drifted", moved},
+            {"drifted", nullptr},
             {"moved", 3},
             {"migrated", 4},
             {"skipped", {"search"}},
@@ -375,9 +261,7 @@ class FakeScene {
   bool has_ids_ = false;
   bool weights_ = false;
   bool filled_ = true;
-  std::vector<std::int64_t> ids_;  // by row
-  std::optional<protocol::Plan> plan_;
-  std::map<std::int64_t, std::int32_t> part_;  // by id
+  std::set<std::int64_t> ids_;
 };
 
 }  // namespace rcb::client

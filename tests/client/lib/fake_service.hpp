@@ -39,7 +39,10 @@ class Peer {
     ::setsockopt(handle_, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit);
     ::setsockopt(handle_, SOL_SOCKET, SO_SNDTIMEO, &limit, sizeof limit);
   }
-  ~Peer() { ::close(handle_); }
+  ~Peer() {
+    ::close(handle_);
+    if (descriptor_ >= 0) ::close(descriptor_);
+  }
   Peer(const Peer&) = delete;
   Peer& operator=(const Peer&) = delete;
 
@@ -66,13 +69,15 @@ class Peer {
   bool read(void* data, std::size_t size) {
     auto* to = static_cast<char*>(data);
     while (size > 0) {
-      const ssize_t got = ::recv(handle_, to, size, 0);
+      const ssize_t got = receive_some(to, size);
       if (got <= 0) return false;
       to += got;
       size -= static_cast<std::size_t>(got);
     }
     return true;
   }
+  // That came last with a frame; -1: none.
+  int descriptor() const { return descriptor_; }
   // The next frame, by the rules of PROTOCOL.md; none at the end of the connection.
   std::optional<Received> receive() {
     return protocol::receive([this](char* to, std::size_t size) { return read(to, size); });
@@ -107,7 +112,25 @@ class Peer {
   }
 
  private:
+  ssize_t receive_some(char* to, std::size_t size) {
+    iovec piece{to, size};
+    alignas(cmsghdr) char control[CMSG_SPACE(sizeof(int))];
+    msghdr message{};
+    message.msg_iov = &piece;
+    message.msg_iovlen = 1;
+    message.msg_control = control;
+    message.msg_controllen = sizeof control;
+    const ssize_t got = ::recvmsg(handle_, &message, MSG_CMSG_CLOEXEC);
+    const cmsghdr* const with = got > 0 ? CMSG_FIRSTHDR(&message) : nullptr;
+    if (with != nullptr && with->cmsg_type == SCM_RIGHTS) {
+      if (descriptor_ >= 0) ::close(descriptor_);
+      std::memcpy(&descriptor_, CMSG_DATA(with), sizeof descriptor_);
+    }
+    return got;
+  }
+
   int handle_;
+  int descriptor_ = -1;
 };
 
 class FakeService {

@@ -83,7 +83,6 @@ FakeScene scene_of(int dims, int parts, int ranks, std::uint64_t rarity) {
   fake.position = [=](std::int64_t id, std::size_t axis, std::int64_t step) {
     return coordinate_of(id, axis, step, wandering(id, step, rarity, parts));
   };
-  fake.part_of = [=](std::int64_t id, std::int64_t step) { return wandering(id, step, rarity, parts); };
   return fake;
 }
 
@@ -113,35 +112,98 @@ void expect_parts(const StepResult& result, const StepCaller& caller, std::int64
   }
 }
 
-// Any rank count, few or many movers, ids of the solver's own, either layout: the slices arrive in plan order (the
-// fake scene checks each value) and the parts are right, without the plan ever being fetched.
-TEST(Step, SlicesFollowThePlan) {
+// Any rank count, few or many movers, ids of the solver's own in any order, any layout of the arrays: the fake scene
+// checks each value, and the parts are right.
+TEST(Step, BringsTheRowsAsTheyAre) {
   const std::uint64_t seed = std::random_device{}();
   SCOPED_TRACE("seed " + std::to_string(seed));
   Random random(seed);
-  for (const int ranks : {1, 2, 3, 7})
-    for (const std::uint64_t rarity : {std::uint64_t{2}, std::uint64_t{100}}) {
-      const int dims = 1 + static_cast<int>(random.below(3));
-      const std::int32_t parts = 5;
-      StepCaller caller{random.below(3000), dims, {}, {}, {}, rarity, parts};
-      if (random.below(2) == 0) {
-        for (std::size_t i = 0; i < caller.n; ++i)
-          caller.ids.push_back(static_cast<std::int64_t>(7 * i + random.below(7)));
-        for (std::size_t i = caller.n; i > 1; --i) std::swap(caller.ids[i - 1], caller.ids[random.below(i)]);
+  for (const int ranks : {1, 3})
+    for (const std::uint64_t rarity : {std::uint64_t{2}, std::uint64_t{100}})
+      for (const bool permuted : {false, true}) {
+        const int dims = 1 + static_cast<int>(random.below(3));
+        const std::int32_t parts = 5;
+        StepCaller caller{2 + random.below(3000), dims, {}, {}, {}, rarity, parts};
+        if (permuted || random.below(2) == 0)
+          for (std::size_t i = 0; i < caller.n; ++i)
+            caller.ids.push_back(static_cast<std::int64_t>(7 * i + random.below(7)));
+        FakeScene fake = scene_of(dims, parts, ranks, rarity);
+        Session session(fake);
+        for (std::int64_t step = 0; step < 6; ++step) {
+          if (permuted) std::rotate(caller.ids.begin(), caller.ids.begin() + 1, caller.ids.end());
+          const auto result = session.scene->step(caller.at(step, random.below(2) == 0), wanting(caller.ids));
+          ASSERT_TRUE(result.ok()) << result.status().message();
+          EXPECT_EQ(result->report.step, step);
+          expect_parts(*result, caller, step, rarity, parts, step == 0 || permuted);
+        }
+        EXPECT_EQ(session.scene->last_step(), 5);
+        session.end();
+        EXPECT_EQ(fake.commits, 6);
       }
-      FakeScene fake = scene_of(dims, parts, ranks, rarity);
-      Session session(fake);
-      for (std::int64_t step = 0; step < 6; ++step) {
-        const auto result = session.scene->step(caller.at(step, random.below(2) == 0), wanting(caller.ids));
-        ASSERT_TRUE(result.ok()) << result.status().message();
-        EXPECT_EQ(result->report.step, step);
-        expect_parts(*result, caller, step, rarity, parts, step == 0);
-      }
-      EXPECT_EQ(session.scene->last_step(), 5);
-      session.end();
-      EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "plan"), 0);
-      EXPECT_EQ(fake.commits, 6);
-    }
+}
+
+// Who counts knows it; who pushes tells the ranks what it has found out for itself.
+TEST(Step, WhatHasDriftedIsToldWhereItIsKnown) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  fake.fault = [&fake](int push) {
+    if (push == 3) ++fake.epoch;
+    return FakeScene::Fault::none;
+  };
+  Session session(fake);
+  StepCaller caller{500, 2, {}, {}, {}};
+  for (std::int64_t step = 0; step < 5; ++step) ASSERT_TRUE(session.scene->step(caller.at(step, true), wanting()).ok());
+  for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(caller.n - 1 - i));
+  ASSERT_TRUE(session.scene->step(caller.at(5, true), wanting(caller.ids)).ok());
+  session.end();
+  const auto drifted = [](std::int64_t step) {
+    std::uint64_t count = 0;
+    for (std::int64_t id = 0; id < 500; ++id)
+      count += wandering(id, step - 1, 20, 5) != wandering(id, step, 20, 5) ? 1U : 0U;
+    return count;
+  };
+  ASSERT_EQ(fake.begun.size(), 6U);
+  EXPECT_FALSE(fake.begun[0].contains("drifted"));
+  for (const std::int64_t step : {1, 2, 3, 4})
+    EXPECT_EQ(fake.begun[static_cast<std::size_t>(step)]["drifted"], drifted(step)) << step;
+  EXPECT_FALSE(fake.begun[5].contains("drifted")) << "the rows are in another order";
+}
+
+TEST(Step, WhatCameAndWentIsSaid) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  Session session(fake);
+  StepCaller caller{500, 2, {}, {}, {}};
+  for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(2 * i));
+  ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting(caller.ids)).ok());
+  caller.ids.resize(480);
+  for (const std::int64_t id : {5001, 5003, 5005}) caller.ids.push_back(id);
+  caller.n = caller.ids.size();
+  EXPECT_EQ(session.scene->step(caller.at(1, true), wanting(caller.ids)).status().code(), Code::not_conserved);
+  StepOptions flow = wanting(caller.ids);
+  flow.inserted = 3;
+  flow.removed = 20;
+  const auto result = session.scene->step(caller.at(1, true), flow);
+  ASSERT_TRUE(result.ok()) << result.status().message();
+  expect_parts(*result, caller, 1, 20, 5, true);
+  session.end();
+  EXPECT_EQ(fake.begun[2]["inserted"], 3);
+  EXPECT_EQ(fake.begun[2]["removed"], 20);
+}
+
+// They go with every push, and with those rows alone.
+TEST(Step, WeightsAreKeptForTheirRows) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  Session session(fake);
+  StepCaller caller{300, 2, {}, {}, {}};
+  for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(2 * i));
+  std::vector<double> weights(caller.n);
+  std::iota(weights.begin(), weights.end(), 0.5);
+  StepOptions first{.ids = caller.ids, .weights = weights};
+  ASSERT_TRUE(session.scene->step(caller.at(0, true), first).ok());
+  ASSERT_TRUE(session.scene->step(caller.at(1, true), {.ids = caller.ids}).ok());
+  std::swap(caller.ids[3], caller.ids[4]);
+  EXPECT_EQ(session.scene->step(caller.at(2, true), {.ids = caller.ids}).status().code(), Code::invalid_argument);
+  session.end();
+  EXPECT_EQ(fake.weights, weights);
 }
 
 TEST(Step, ReportIsRead) {
@@ -183,41 +245,12 @@ TEST(Step, LargeSlicesGoThroughManyWrites) {
   }
 }
 
-// Arrays without elements have no bytes, and are there all the same.
-TEST(Step, NothingChangedNothingFetched) {
-  FakeScene fake = scene_of(3, 4, 3, 1U << 30U);
-  Session session(fake);
-  StepCaller caller{500, 3, {}, {}, {}, 1U << 30U, 4};
-  for (std::int64_t step = 0; step < 3; ++step) {
-    const auto result = session.scene->step(caller.at(step, true), wanting());
-    ASSERT_TRUE(result.ok()) << result.status().message();
-    EXPECT_EQ(result->changes.size(), step == 0 ? 500U : 0U);
-  }
-  session.end();
-  EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "plan"), 0);
-}
-
 TEST(Step, NoParticles) {
   FakeScene fake = scene_of(3, 4, 3, 2);
   Session session(fake);
   const auto result = session.scene->step(Positions::rows(static_cast<const double*>(nullptr), 0, 3), wanting());
   ASSERT_TRUE(result.ok()) << result.status().message();
   EXPECT_TRUE(result->parts.empty());
-}
-
-TEST(Step, StalePlanIsFetchedOnceAndThePushRepeated) {
-  FakeScene fake = scene_of(3, 5, 3, 20);
-  fake.fault = [](int push) { return push == 1 ? FakeScene::Fault::stale : FakeScene::Fault::none; };
-  Session session(fake);
-  StepCaller caller{1000, 3, {}, {}, {}};
-  ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting()).ok());
-  const auto result = session.scene->step(caller.at(1, true), wanting());
-  ASSERT_TRUE(result.ok()) << result.status().message();
-  expect_parts(*result, caller, 1, 20, 5, false);
-  ASSERT_TRUE(session.scene->step(caller.at(2, true)).ok());
-  session.end();
-  EXPECT_EQ(fake.attempts, (std::vector<std::int64_t>{1, 2, 3, 4}));
-  EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "plan"), 1);
 }
 
 // Changes are those since parts or changes were told last, whatever was asked in between.
@@ -240,50 +273,6 @@ TEST(Step, ChangesOfStepsThatDidNotAskAreTold) {
     const auto next = session.scene->step(caller.at(5, true), wanting());
     ASSERT_TRUE(next.ok()) << next.status().message();
     expect_parts(*next, caller, 5, 5, 5, false);
-  }
-}
-
-// What is asked after the commit may lose its connection, too; the step is committed once.
-TEST(Step, AConnectionLostAfterTheCommitIsMadeAgain) {
-  for (const int losses : {1, 2})
-    for (const bool changed_by_others : {false, true}) {
-      FakeScene fake = scene_of(3, 5, 3, 20);
-      fake.fault = [&fake, changed_by_others](int push) {
-        if (push == 1 && changed_by_others) fake.epoch += 3;
-        return push == 1 ? FakeScene::Fault::wrong_checksum : FakeScene::Fault::none;
-      };
-      fake.close_at = [losses](const std::string& command, int n) {
-        return (command == "plan" || command == "scene.show") && n < losses;
-      };
-      Session session(fake);
-      StepCaller caller{1000, 3, {}, {}, {}};
-      ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting()).ok());
-      for (std::int64_t step = 1; step < 4; ++step) {
-        const auto result = session.scene->step(caller.at(step, true), wanting());
-        ASSERT_TRUE(result.ok()) << result.status().message();
-        expect_parts(*result, caller, step, 20, 5, false);
-      }
-      session.end();
-      EXPECT_EQ(fake.commits, 4);
-    }
-}
-
-// The ids of the rows are given at the first push alone. Where its answer is lost, they are kept all the same.
-TEST(Step, IdsOfAFirstPushWhoseAnswerIsLostAreKept) {
-  for (const bool asked : {false, true}) {
-    FakeScene fake = scene_of(2, 5, 3, 20);
-    fake.fault = [](int push) { return push == 0 ? FakeScene::Fault::close_after_commit : FakeScene::Fault::none; };
-    Session session(fake);
-    StepCaller caller{500, 2, {}, {}, {}};
-    for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(9000 - 7 * i));
-    StepOptions first = asked ? wanting(caller.ids) : StepOptions();
-    first.ids = caller.ids;
-    ASSERT_TRUE(session.scene->step(caller.at(0, true), first).ok());
-    for (std::int64_t step = 1; step < 3; ++step) {
-      const auto result = session.scene->step(caller.at(step, true), wanting());
-      ASSERT_TRUE(result.ok()) << result.status().message();  // the fake scene has checked every position
-      expect_parts(*result, caller, step, 20, 5, step == 1 && !asked);
-    }
   }
 }
 
@@ -344,34 +333,35 @@ TEST(Step, WhoCannotAskForTheCutsOfAStepHasNoAnswer) {
   EXPECT_EQ(fake.commits, 2);
 }
 
-// Nobody pays for cuts that nobody uses. Who does asks for them once; what is new comes with the answers.
-TEST(Step, CutsAreAskedForOnceAndOnlyByWhoUsesThem) {
+// Every push says which it knows, and the answer tells those that are new.
+TEST(Step, CutsComeWithTheAnswers) {
   FakeScene fake = scene_of(2, 5, 3, 20);
   fake.fault = [&fake](int push) {
-    if (push == 4) ++fake.epoch;
+    if (push == 2) ++fake.epoch;
     return FakeScene::Fault::none;
   };
   Session session(fake);
   StepCaller caller{500, 2, {}, {}, {}};
-  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
-  ASSERT_TRUE(session.scene->step(caller.at(1, true)).ok());
-  for (std::int64_t step = 2; step < 6; ++step) {
+  for (std::int64_t step = 0; step < 4; ++step) {
+    ASSERT_TRUE(session.scene->step(caller.at(step, true)).ok());
     const auto cuts = session.scene->cuts();
     ASSERT_TRUE(cuts.ok()) << cuts.status().message();
-    EXPECT_EQ(cuts->epoch(), step < 5 ? 1U : 2U);
+    EXPECT_EQ(cuts->epoch(), step < 2 ? 1U : 2U);
     EXPECT_EQ(cuts->parts(), 5);
-    ASSERT_TRUE(session.scene->step(caller.at(step, true)).ok());
   }
   std::vector<std::int32_t> parts(caller.n);
   ASSERT_TRUE(session.scene->cuts()->owner(caller.at(5, true), {}, parts).ok());
   for (std::size_t row = 0; row < caller.n; ++row)
     ASSERT_EQ(parts[row], wandering(static_cast<std::int64_t>(row), 5, 20, 5));
   session.end();
-  EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "cuts"), 1);
-  const protocol::Json none, first{{"epoch", 1}, {"hash", ToldCuts(2, 5, 1).json["hash"]}};
+  EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "cuts"), 0);
+  const protocol::Json none = protocol::Json::object();
+  const protocol::Json first{{"epoch", 1}, {"hash", ToldCuts(2, 5, 1).json["hash"]}};
   protocol::Json last = first;
   last["epoch"] = 2;
-  EXPECT_EQ(fake.cuts_known, (std::vector<protocol::Json>{none, none, first, first, first, last}));
+  ASSERT_EQ(fake.begun.size(), 4U);
+  const std::vector<protocol::Json> known{none, first, first, last};
+  for (std::size_t k = 0; k < known.size(); ++k) EXPECT_EQ(fake.begun[k]["cuts_known"], known[k]);
 }
 
 // Among them cuts that aren't those of their hash.
@@ -381,7 +371,8 @@ TEST(Step, CutsThatAreDamagedAreRefused) {
        {Spoil([](ToldCuts& cuts) { cuts.json["hash"] = "0123456789abcdef"; }),
         Spoil([](ToldCuts& cuts) { cuts.json["parts"] = 6; }), Spoil([](ToldCuts& cuts) { cuts.json["dims"] = 4; }),
         Spoil([](ToldCuts& cuts) { cuts.json["method"] = "spirals"; }),
-        Spoil([](ToldCuts& cuts) { cuts.json["epoch"] = "one"; }), Spoil([](ToldCuts& cuts) { cuts.arrays.pop_back(); }),
+        Spoil([](ToldCuts& cuts) { cuts.json["epoch"] = "one"; }),
+        Spoil([](ToldCuts& cuts) { cuts.arrays.pop_back(); }),
         Spoil([](ToldCuts& cuts) { cuts.arrays[2].dtype = "<u8"; })}) {
     FakeScene fake = scene_of(2, 5, 3, 20);
     fake.spoil_cuts = spoil;
@@ -426,22 +417,6 @@ TEST(Step, WhoseNumberAnotherSessionTookGoesOnBehindIt) {
     ASSERT_TRUE(next.ok()) << next.status().message();
     EXPECT_EQ(next->report.step, number + 1);
   }
-}
-
-// The caller of few may have gone back to the step before, so that more has changed since the late one than it says.
-TEST(Step, FewAfterAStepThatWasLateAreSentWithAll) {
-  FakeScene fake = scene_of(2, 5, 3, 20);
-  fake.fault = [](int push) { return push == 1 ? FakeScene::Fault::late_after_commit : FakeScene::Fault::none; };
-  Session session(fake);
-  StepCaller caller{500, 2, {}, {}, {}};
-  ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting()).ok());
-  ASSERT_FALSE(session.scene->step(caller.at(1, true), wanting()).ok());
-  const std::array<std::uint64_t, 1> moved{3};
-  StepOptions few = wanting();
-  few.moved = moved;
-  const auto result = session.scene->step(caller.at(2, true), few);
-  ASSERT_TRUE(result.ok()) << result.status().message();  // the fake scene has checked every position
-  EXPECT_EQ(result->report.step, 2);
 }
 
 // A service of one rank, whose connections to that rank the test lets go or keeps still.
@@ -541,7 +516,7 @@ TEST(Step, AFirstPushThatWasLateMustBeHeardOfFirst) {
   const auto again = session.scene->step(caller.at(0, true), wanting(caller.ids));
   ASSERT_TRUE(again.ok()) << again.status().message();
   EXPECT_EQ(again->report.step, 0);
-  const auto next = session.scene->step(caller.at(1, true), wanting());
+  const auto next = session.scene->step(caller.at(1, true), wanting(caller.ids));
   ASSERT_TRUE(next.ok()) << next.status().message();
   expect_parts(*next, caller, 1, 20, 5, false);
 }
@@ -564,29 +539,7 @@ TEST(Step, AnotherSizeThanAFirstPushThatWasLateIsToldOfIt) {
   EXPECT_EQ(status.code(), Code::stale_step) << status.message();
   const auto again = session.scene->step(caller.at(0, true), wanting());
   ASSERT_TRUE(again.ok()) << again.status().message();
-  EXPECT_EQ(session.scene->step(fewer.at(1, true), wanting()).status().code(), Code::invalid_argument);
-}
-
-// While the connection was gone another client pushed: rows that moved since this client's step would be put among
-// that one's positions.
-TEST(Step, OthersStepsBehindALostConnectionAreNoBase) {
-  FakeScene fake = scene_of(3, 5, 3, 20);
-  fake.fault = [&fake](int push) {
-    if (push == 1) *fake.step += 7;
-    return push == 1 ? FakeScene::Fault::close_before_commit : FakeScene::Fault::none;
-  };
-  Session session(fake);
-  StepCaller caller{1000, 3, {}, {}, {}};
-  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
-  const std::array<std::uint64_t, 1> moved{3};
-  StepOptions few = wanting();
-  few.moved = moved;
-  few.step = 100;
-  const auto result = session.scene->step(caller.at(100, true), few);
-  ASSERT_TRUE(result.ok()) << result.status().message();  // the fake scene has checked every position
-  expect_parts(*result, caller, 100, 20, 5, true);
-  session.end();
-  EXPECT_EQ(fake.commits, 2);
+  EXPECT_EQ(session.scene->step(fewer.at(1, true), wanting()).status().code(), Code::not_conserved);
 }
 
 // A scene may be another one by then, at step 0 again: what still comes for the old push must not be taken for its.
@@ -599,17 +552,6 @@ TEST(Step, NoPushOfAConnectionBearsAnothersName) {
   ASSERT_TRUE(session.scene->step(caller.at(1, true)).ok());
   session.end();
   EXPECT_EQ(fake.attempts, (std::vector<std::int64_t>{1, 2}));
-}
-
-TEST(Step, StaleTwiceIsToldAndTheNextStepGoesOn) {
-  FakeScene fake = scene_of(3, 5, 3, 20);
-  fake.fault = [](int push) { return push == 1 || push == 2 ? FakeScene::Fault::stale : FakeScene::Fault::none; };
-  Session session(fake);
-  StepCaller caller{1000, 3, {}, {}, {}};
-  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
-  EXPECT_EQ(session.scene->step(caller.at(1, true)).status().code(), Code::stale_plan);
-  EXPECT_EQ(session.scene->last_step(), 0);
-  EXPECT_TRUE(session.scene->step(caller.at(1, true)).ok());
 }
 
 TEST(Step, LostConnectionIsMendedAndTheStepAppliedOnce) {
@@ -652,23 +594,8 @@ TEST(Step, ASceneThatWasDroppedMeanwhileIsAClearError) {
   }
 }
 
-TEST(Step, AnswerThatContradictsThePlanIsMendedByFetching) {
-  FakeScene fake = scene_of(3, 5, 3, 20);
-  fake.fault = [](int push) { return push <= 1 ? FakeScene::Fault::wrong_checksum : FakeScene::Fault::none; };
-  Session session(fake);
-  StepCaller caller{1000, 3, {}, {}, {}};
-  for (std::int64_t step = 0; step < 4; ++step) {
-    const auto result = session.scene->step(caller.at(step, true), wanting());
-    ASSERT_TRUE(result.ok()) << result.status().message();
-    expect_parts(*result, caller, step, 20, 5, step == 0);
-  }
-  session.end();
-  EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "plan"), 2);
-  EXPECT_EQ(fake.attempts.size(), 4U);
-}
-
-// The parts may change without the plan: only the epoch tells.
-TEST(Step, ARebalanceInBetweenIsNoticedByItsEpoch) {
+// A rebalance in between is heard of with the next answer, and the parts are by its cuts.
+TEST(Step, CutsThatAnotherChangedAreTold) {
   FakeScene fake = scene_of(3, 5, 3, 20);
   fake.fault = [&](int push) {
     if (push == 1) fake.epoch = 7;
@@ -681,49 +608,22 @@ TEST(Step, ARebalanceInBetweenIsNoticedByItsEpoch) {
     ASSERT_TRUE(result.ok());
     expect_parts(*result, caller, step, 20, 5, step == 0);
   }
-  session.end();
-  EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "plan"), 1);
+  EXPECT_EQ(session.scene->cuts()->epoch(), 7U);
 }
 
-// Until the caller says whose its rows are, no order is taken for it, although a step without rows fetches the plan.
 TEST(Step, AnotherSceneObjectGoesOnWhereTheFirstEnded) {
-  for (const bool plan_first : {false, true}) {
-    FakeScene fake = scene_of(3, 5, 3, 20);
-    fake.fault = [=](int push) {
-      return plan_first && push == 1 ? FakeScene::Fault::busy_early : FakeScene::Fault::none;
-    };
-    Session session(fake);
-    StepCaller caller{1000, 3, {}, {}, {}};
-    for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(2 * (caller.n - i) + 1));
-    ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting(caller.ids)).ok());
-    session.open();
-    EXPECT_EQ(session.scene->last_step(), 0);
-    if (plan_first) {
-      EXPECT_EQ(session.scene->step_unmoved(wanting()).status().code(), Code::busy);
-    }
-    EXPECT_NE(session.scene->step(caller.at(1, true)).status().message().find("ids of its own"), std::string::npos);
-    auto result = session.scene->step(caller.at(1, true), wanting(caller.ids));
-    ASSERT_TRUE(result.ok()) << result.status().message();
-    expect_parts(*result, caller, 1, 20, 5, true);
-    result = session.scene->step(caller.at(2, true), wanting());
-    ASSERT_TRUE(result.ok()) << result.status().message();
-    expect_parts(*result, caller, 2, 20, 5, false);
-  }
-}
-
-// What the solver has of the others may be of any earlier step.
-TEST(Step, RowsThatMovedAreSentWithAllUntilTheSceneHasHeardOfAStep) {
   FakeScene fake = scene_of(3, 5, 3, 20);
   Session session(fake);
   StepCaller caller{1000, 3, {}, {}, {}};
-  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
+  for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(2 * (caller.n - i) + 1));
+  ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting(caller.ids)).ok());
   session.open();
-  const std::array<std::uint64_t, 1> moved{3};
-  StepOptions few = wanting();
-  few.moved = moved;
-  const auto result = session.scene->step(caller.at(1, true), few);
-  ASSERT_TRUE(result.ok()) << result.status().message();  // the fake scene has checked every position
-  expect_parts(*result, caller, 1, 20, 5, true);
+  EXPECT_EQ(session.scene->last_step(), 0);
+  for (std::int64_t step = 1; step < 3; ++step) {
+    const auto result = session.scene->step(caller.at(step, true), wanting(caller.ids));
+    ASSERT_TRUE(result.ok()) << result.status().message();
+    expect_parts(*result, caller, step, 20, 5, step == 1);
+  }
 }
 
 TEST(Step, AScenesOwnClientMayReplaceOrDropIt) {
@@ -740,7 +640,6 @@ TEST(Step, AScenesOwnClientMayReplaceOrDropIt) {
     else
       EXPECT_TRUE(session.client->create_scene("s", {.parts = 5, .replace = true}).ok());
     EXPECT_FALSE(session.scene->last_step().has_value());
-    EXPECT_EQ(session.scene->step_unmoved().status().code(), Code::base_lost);
     StepOptions first = wanting();
     first.weights = weights;
     const auto result = session.scene->step(fewer.at(0, true), first);
@@ -751,7 +650,7 @@ TEST(Step, AScenesOwnClientMayReplaceOrDropIt) {
   }
   ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting(caller.ids)).ok());
   ASSERT_TRUE(session.client->drop_scene("s").ok());
-  EXPECT_EQ(session.scene->step(caller.at(1, true)).status().code(), Code::not_found);
+  EXPECT_EQ(session.scene->step(caller.at(1, true), wanting(caller.ids)).status().code(), Code::not_found);
   session.end();
   EXPECT_EQ(fake.weights, std::vector<double>()) << "the last scene has none";
   EXPECT_EQ(fake.commands.back(), "scene.close") << "it was open to the end";
@@ -769,7 +668,6 @@ TEST(Step, EarlyRefusalOfALargePush) {
   EXPECT_TRUE(session.scene->step(caller.at(0, true)).ok());
   session.end();
   EXPECT_EQ(fake.sessions.size(), 1U) << "on the same connection";
-  EXPECT_LE(fake.slices_read, 14);
 }
 
 // A service that refuses and closes without reading the slices: the reason still reaches the caller.
@@ -845,11 +743,9 @@ TEST(Step, WhatCannotFitIsRefusedBeforeItIsSent) {
   refused(good, {.step = -1}, "step -1");
   refused(good, {.deadline_seconds = 0}, "deadline");
   refused(good, {.deadline_seconds = std::numeric_limits<double>::quiet_NaN()}, "deadline");
+  refused(good, {.step_seconds = -1}, "-1 seconds");
+  refused(good, {.threads = 0}, "0 threads");
   ASSERT_TRUE(session.scene->step(good).ok());
-  refused(Positions::rows(caller.values.data(), 99, 3), {}, "99 particles, the scene has 100");
-  refused(good, {.weights = std::span(weights).first(100)}, "the scene has none");
-  const std::vector<std::int64_t> others(100, 5);
-  refused(good, {.ids = others}, "row 0 has id 5, at first it had 0");
   session.end();
   EXPECT_EQ(fake.attempts.size(), 1U);
 }

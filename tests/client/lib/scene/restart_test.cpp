@@ -1,5 +1,5 @@
-// A service that dies and is started again, whose ranks hold no particles then: they get all of them, whatever the step
-// brings, and the caller hears what has changed since it was last told.
+// A service that dies and is started again, whose ranks hold no particles then: the next step brings all of them, and
+// the caller hears what has changed since it was last told.
 #include <algorithm>
 #include <array>
 #include <numeric>
@@ -34,7 +34,6 @@ double value_of(std::int64_t id, std::size_t axis, std::int64_t step) {
 FakeScene scene_that(Fault fault, std::vector<int> at) {
   FakeScene fake(kDims, kParts, 3);
   fake.position = value_of;
-  fake.part_of = part_of;
   fake.fault = [=](int push) { return std::find(at.begin(), at.end(), push) == at.end() ? Fault::none : fault; };
   return fake;
 }
@@ -44,7 +43,6 @@ struct Solver {
   explicit Solver(FakeScene& scene, ConnectOptions options = {}) : fake(scene) {
     service = std::make_unique<FakeService>([&scene](Peer& peer, int) { scene.serve(peer); });
     options.endpoint = service->endpoint();
-    options.on_notice = [this](const std::string& text) { notices.push_back(text); };
     client.emplace(Client::connect(options).value());
     pushed.emplace(client->open_scene("s").value());
     for (std::size_t i = 0; i < kParticles; ++i) ids.push_back(static_cast<std::int64_t>(9000 - 7 * i));
@@ -56,7 +54,7 @@ struct Solver {
     return Positions::rows(xyz.data(), kParticles, kDims);
   }
   Result<StepResult> step(std::int64_t number, StepOptions options = {}) {
-    options.ids = number == 0 ? std::span<const std::int64_t>(ids) : std::span<const std::int64_t>();
+    options.ids = ids;
     options.want_changes = options.want_parts = true;
     return pushed->step(at(number), options);
   }
@@ -80,13 +78,12 @@ struct Solver {
   FakeScene& fake;
   std::vector<std::int64_t> ids;
   std::vector<double> xyz;
-  std::vector<std::string> notices;
   std::unique_ptr<FakeService> service;
   std::optional<Client> client;
   std::optional<Scene> pushed;
 };
 
-TEST(Refill, EveryStepIsCommittedAndToldOnceThroughAnyNumberOfDeaths) {
+TEST(Restart, EveryStepIsCommittedAndToldOnceThroughAnyNumberOfDeaths) {
   for (const Fault fault : {Fault::die_before_commit, Fault::die_after_commit}) {
     FakeScene fake = scene_that(fault, {0, 3, 4, 8});
     Solver solver(fake);
@@ -102,16 +99,10 @@ TEST(Refill, EveryStepIsCommittedAndToldOnceThroughAnyNumberOfDeaths) {
     EXPECT_EQ(fake.restarts, fault == Fault::die_before_commit ? 4 : 3);
     EXPECT_EQ(fake.commits, 8);
     EXPECT_GE(fake.refills, 2);
-    EXPECT_NE(std::ranges::find_if(solver.notices,
-                                   [](const std::string& text) {
-                                     return text.find("was started again, and gets the particles of scene 's' anew") !=
-                                            std::string::npos;
-                                   }),
-              solver.notices.end());
   }
 }
 
-TEST(Refill, WeightsAndRowsThatStoodStillAreBroughtAsTheyWere) {
+TEST(Restart, WeightsAreBroughtAgain) {
   FakeScene fake = scene_that(Fault::die_before_commit, {1});
   Solver solver(fake);
   std::vector<double> weights(kParticles);
@@ -119,10 +110,7 @@ TEST(Refill, WeightsAndRowsThatStoodStillAreBroughtAsTheyWere) {
   StepOptions first;
   first.weights = weights;
   ASSERT_TRUE(solver.step(0, first).ok());
-  const std::array<std::uint64_t, 2> moved{3, 70};
-  StepOptions few;
-  few.moved = moved;
-  const auto result = solver.step(1, few);
+  const auto result = solver.step(1);
   ASSERT_TRUE(result.ok()) << result.status().message();
   solver.expect(*result, 1, 0);
   solver.end();
@@ -130,44 +118,7 @@ TEST(Refill, WeightsAndRowsThatStoodStillAreBroughtAsTheyWere) {
   EXPECT_EQ(fake.weights, weights);
 }
 
-TEST(Refill, AStepWithoutAllPositionsSaysWhatItLacksAndTheNextOneGoesOn) {
-  FakeScene fake = scene_that(Fault::die_before_commit, {1});
-  Solver solver(fake);
-  ASSERT_TRUE(solver.step(0).ok());
-  for (int again = 0; again < 2; ++again) {
-    const Status status = solver.pushed->step_unmoved().status();
-    EXPECT_EQ(status.code(), Code::base_lost) << status.message();
-    EXPECT_NE(status.message().find("its ranks hold no particles of scene 's'"), std::string::npos) << status.message();
-    EXPECT_NE(status.message().find("of 600 particles this push has the positions of 0"), std::string::npos)
-        << status.message();
-  }
-  const auto result = solver.step(1);
-  ASSERT_TRUE(result.ok()) << result.status().message();
-  solver.expect(*result, 1, 0);
-}
-
-TEST(Refill, AClientThatKnowsNeitherIdsNorWeightsIsAskedForThem) {
-  FakeScene fake = scene_that(Fault::die_before_commit, {1});
-  Solver solver(fake);
-  const std::vector<double> weights(kParticles, 2);
-  StepOptions first;
-  first.weights = weights;
-  ASSERT_TRUE(solver.step(0, first).ok());
-  EXPECT_EQ(solver.pushed->step_unmoved().status().code(), Code::base_lost);  // the service dies
-  solver.pushed.reset();
-  solver.pushed.emplace(solver.client->open_scene("s").value());
-  StepOptions ids;
-  ids.ids = solver.ids;
-  const Status status = solver.pushed->step(solver.at(1), ids).status();
-  EXPECT_EQ(status.code(), Code::base_lost);
-  EXPECT_NE(status.message().find("they have weights"), std::string::npos) << status.message();
-  ids.weights = weights;
-  EXPECT_TRUE(solver.pushed->step(solver.at(1), ids).ok());
-  solver.end();
-  EXPECT_EQ(fake.refills, 1);
-}
-
-TEST(Refill, ASceneThatSomebodyReplacedIsNotGoneOnWith) {
+TEST(Restart, ASceneThatSomebodyReplacedIsNotGoneOnWith) {
   FakeScene fake = scene_that(Fault::none, {});
   fake.options = {{"incarnation", "00000000000000aa"}};
   fake.fault = [&fake](int push) {

@@ -1,0 +1,165 @@
+// A push: which way the rows of a step take to the ranks, and which rank each of them goes to first.
+#include <algorithm>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include "client/lib/scene/scene.hpp"
+#include "client/lib/session/data_path.hpp"
+#include "client/lib/session/push_source.hpp"
+#include "common/base/count_groups.hpp"
+#include "common/layout/layout.hpp"
+
+namespace rcb::client {
+
+bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) const {
+  const Path path = session().path();
+  if ((path != Path::automatic && path != Path::shared) || share_unsupported_) return false;
+  // Ranks on other hosts get their rows over sockets. It is worth while if few positions are copied for nothing.
+  const auto worth_while = [&] {
+    const std::size_t apart = session().ranks_apart().size();
+    const bool few_copies = arrays_.gave(ask.positions) || 2 * apart <= static_cast<std::size_t>(session().ranks());
+    return apart == 0 || path == Path::shared || (ask.large() && few_copies);
+  };
+  // Where the connections to the ranks are opened it may turn out that more of them are apart.
+  return worth_while() && session().can_share(retry.deadline()) && worth_while();
+}
+
+Result<Scene::State::Way> Scene::State::choose_way(const StepRequest& ask, const Retry& retry) const {
+  if (ask.positions.count == 0) return Way::gateway;
+  if (by_shared_memory(ask, retry)) {
+    const bool rows_are_ids = ask.options.ids.empty() && !has_ids_ && !seated() && !ask.flows();
+    return rows_are_ids && session().ranks_apart().empty() ? Way::held : Way::shared;
+  }
+  const Path path = session().path();
+  if (path == Path::gateway || (path != Path::direct && !ask.large())) return Way::gateway;
+  if (session().data(retry.deadline()) != nullptr) return Way::direct;
+  if (path != Path::direct) return Way::gateway;
+  return session().no_data();
+}
+
+RankRows Scene::State::rows_by_rank(const StepRequest& ask, bool grouped, std::span<std::uint64_t> list) const {
+  const std::size_t count = ask.positions.count;
+  const int ranks = session().ranks();
+  RankRows rows;
+  if (!grouped) {
+    std::iota(list.begin(), list.end(), 0);
+    for (int rank = 0; rank < ranks; ++rank) {
+      const std::uint64_t first = layout::row_begin(rank, count, ranks);
+      rows.push_back({nullptr, first, layout::row_begin(rank + 1, count, ranks) - first});
+    }
+    return rows;
+  }
+  const int parts = cuts_.known->parts();
+  std::vector<std::uint32_t> rank_of;  // by part
+  for (int part = 0; part < parts; ++part)
+    rank_of.push_back(static_cast<std::uint32_t>(layout::rank_of_part(part, parts, ranks)));
+  const auto part = counted_.parts();
+  const auto rank_of_row = [&](std::size_t row) { return rank_of[static_cast<std::size_t>(part[row])]; };
+  const auto counts = count_groups(rank_of_row, static_cast<std::size_t>(ranks), count);
+  std::vector<std::uint64_t> next(counts.size(), 0);
+  std::exclusive_scan(counts.begin(), counts.end(), next.begin(), std::uint64_t{0});
+  for (std::size_t row = 0; row < count; ++row) list[next[rank_of_row(row)]++] = row;
+  for (std::size_t rank = 0; rank < counts.size(); ++rank)
+    rows.push_back(Rows::of(list.subspan(next[rank] - counts[rank], counts[rank])));
+  return rows;
+}
+
+wire::Json Scene::State::begin_json(std::int64_t step, const Retry& retry) const {
+  wire::Json begin{{"command", "push.begin"},
+                   {"scene", name_},
+                   {"session", session().number()},
+                   {"step", step},
+                   {"attempt", session().next_attempt()},
+                   {"n", 0},
+                   {"cuts_known", cuts_.known_json()},
+                   {"deadline_seconds", retry.seconds_left()}};
+  if (!incarnation_.empty()) begin["incarnation"] = incarnation_;
+  return begin;
+}
+
+Result<Frame> Scene::State::ask_for_answer(std::int64_t step, const Retry& retry) const {
+  return session().call_once(begin_json(step, retry), retry);
+}
+
+std::span<const std::int64_t> Scene::State::row_numbers(std::size_t count) {
+  if (const std::size_t known = numbers_.size(); known < count) {
+    numbers_.resize(count);
+    std::iota(numbers_.begin() + known, numbers_.end(), static_cast<std::int64_t>(known));
+  }
+  return numbers_.span().first(count);
+}
+
+Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, const Retry& retry) {
+  const auto way = choose_way(ask, retry);
+  if (!way) return way.status();
+  way_ = *way;
+  const std::size_t count = ask.positions.count;
+  const bool to_ranks = way_ == Way::direct || way_ == Way::shared;
+  // A wrong value is told by the ranks: also to the others, if there are any.
+  const bool classified = (way_ != Way::held || ask.wants()) && cuts_.known &&
+                          counted_.find_parts(*cuts_.known, rows_of(ask), last_step_).ok();
+  const bool grouped = to_ranks && classified;
+  Values values{weights_of(ask), ask.options.ids};
+  if (way_ == Way::held && filled_ && !when_needed_) values.weights = ask.options.weights;  // the ranks have the others
+  // Rows that come over a socket and have no ids are numbered as they come.
+  if (grouped && values.ids.empty() && (way_ == Way::direct || !session().ranks_apart().empty()))
+    values.ids = row_numbers(count);
+  wire::Json begin = begin_json(step, retry);
+  begin.update({{"n", count},
+                {"dtype", ask.positions.single() ? "<f4" : "<f8"},
+                {"weights", !values.weights.empty()},
+                {"ids", !values.ids.empty()},
+                {"inserted", ask.options.inserted},
+                {"removed", ask.options.removed}});
+  if (ask.options.step_seconds) begin["step_seconds"] = *ask.options.step_seconds;
+  if (const auto drifted = counted_.drifted(); drifted && last_step_) begin["drifted"] = *drifted;
+  if (!to_ranks) return send(std::move(begin), ask, {}, values, retry);
+  std::span<std::uint64_t> list;
+  if (way_ == Way::shared) {
+    const auto room = arrays_.row_list(count);
+    if (!room) return room.status();
+    list = *room;
+  } else if (grouped) {
+    list_.resize(count);
+    list = list_.span();
+  }
+  RankRows rows = rows_by_rank(ask, grouped, list);
+  for (const Rows& of_rank : rows) begin["counts"].push_back(of_rank.count);
+  return send(std::move(begin), ask, std::move(rows), values, retry);
+}
+
+Result<Frame> Scene::State::send(wire::Json begin, const StepRequest& ask, RankRows rows, const Values& values,
+                                 const Retry& retry) {
+  const Deadline& deadline = retry.deadline();
+  const std::string what = fmt::format("push of step {} to scene '{}'", begin["step"].get<std::int64_t>(), name_);
+  const std::uint64_t request = session().next_request();
+  const std::size_t count = ask.positions.count;
+  const auto columns = columns_of(ask.positions, values.weights, values.ids);
+  if (way_ == Way::gateway) {
+    begin["path"] = "gateway";
+    PushSource source(begin, request, count, columns);
+    return session().exchange(request, source, what, deadline);
+  }
+  if (way_ == Way::direct) {
+    begin["path"] = "direct";
+    return session().exchange_directly(request, begin, rows, columns, what, deadline);
+  }
+  auto memory = arrays_.describe(session(),
+                                 {.positions = ask.positions,
+                                  .weights = values.weights,
+                                  .ids = values.ids,
+                                  .listed = way_ == Way::shared ? count : 0},
+                                 deadline);
+  if (!memory) return memory.status();
+  begin["path"] = "shared";
+  begin["memory"] = std::move(*memory);
+  const auto apart = session().ranks_apart();
+  if (apart.empty()) return session().exchange_frames(request, request_frame(request, begin), what, deadline);
+  begin["sockets"] = apart;
+  for (int rank = 0; rank < session().ranks(); ++rank)
+    if (session().shares_with(rank)) rows[static_cast<std::size_t>(rank)] = {};
+  return session().exchange_directly(request, begin, rows, columns, what, deadline);
+}
+
+}  // namespace rcb::client
