@@ -36,7 +36,7 @@ class Memory(unittest.TestCase):
             repartition = row["phase"] in ("repartition", "scattered")
             self.assertEqual(row["moved"] > 0, repartition, row)
             if row["phase"] == "scattered":
-                self.assertGreater(row["migrated"], N / 4)
+                self.assertGreater(row["drifted"], N / 4)
 
     def test_a_peak_above_the_limit_fails(self):
         self.assertEqual(self.done.returncode, 1, self.done.stderr)

@@ -13,8 +13,10 @@ SCRIPT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "step", "encry
 
 
 class Step(unittest.TestCase):
-    FLOORS = {"count": ["read", "round_trip"], "count-weighted": ["read", "round_trip"], "send": ["read", "floor", "memory"],
-              "rows": ["read", "floor", "memory"], "unmoved": ["floor", "memory"]}
+    COUNTED, SENT = ["read", "round_trip"], ["read", "floor", "memory"]
+    FLOORS = {"count": COUNTED, "count-permuted": COUNTED, "count-weighted": COUNTED, "count-members": COUNTED, "send": SENT,
+              "every-step": SENT, "sockets": SENT, "endpoint": SENT, "every-step-members": SENT, "connect": ["floor", "memory"]}
+    EACH = {"every-step": 24, "sockets": 32, "endpoint": 24, "every-step-members": 32}  # bytes that a particle sends
 
     @classmethod
     def setUpClass(cls):
@@ -40,8 +42,14 @@ class Step(unittest.TestCase):
             self.assertEqual("message_bytes" in row, counted)
             if counted:
                 each = 32 if row["variant"] == "count-weighted" else 16
-                self.assertLessEqual(row["message_bytes"], each * row["parts"] + 1024)
+                messages = 4 if row["variant"] == "count-members" else 1
+                self.assertLessEqual(row["message_bytes"], each * row["parts"] + 1024 * messages)
                 self.assertGreater(row["message_bytes"], 12 * row["parts"])
+
+    def test_floors_have_the_bytes_of_a_step(self):
+        for row in self.document["rows"]:
+            if row["variant"] in self.EACH:
+                self.assertEqual((row["variant"], row["bytes"]), (row["variant"], self.EACH[row["variant"]] * row["n"]))
 
     def test_only_send_finds_new_cuts(self):
         self.assertEqual({row["variant"] for row in self.document["rows"] if row["repartitioned"]}, {"send"})
@@ -56,13 +64,13 @@ class Encryption(unittest.TestCase):
     def test_services_take_turns(self):
         with tempfile.TemporaryDirectory(dir="/var/tmp") as folder:  # /tmp is each machine's own
             path = os.path.join(folder, "result.json")
-            done = subprocess.run([SCRIPT, "--build", os.path.dirname(BIN), "--repeats", "3", "--variants", "rows,connect",
+            done = subprocess.run([SCRIPT, "--build", os.path.dirname(BIN), "--repeats", "3", "--variants", "sockets,connect",
                                    "--points", "1500", "--json", path], capture_output=True, text=True, timeout=200)
             self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
             with open(path) as file:
                 rows = json.load(file)["rows"]
         self.assertEqual([(row["variant"], os.path.basename(row["service"])) for row in rows],
-                         [("rows", "encrypted"), ("rows", "plain"), ("connect", "encrypted"), ("connect", "plain")])
+                         [("sockets", "encrypted"), ("sockets", "plain"), ("connect", "encrypted"), ("connect", "plain")])
         for row in rows:
             self.assertEqual((row["n"], row["ranks"]), (1500, 2))
             self.assertGreater(row["seconds"], 0)

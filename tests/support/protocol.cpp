@@ -16,33 +16,13 @@ constexpr std::size_t kSummedBytes = 32;  // of the header
 
 const std::map<std::string, std::uint64_t> kDtypes{{"<f8", 8}, {"<f4", 4}, {"<i8", 8}, {"<i4", 4}, {"<u8", 8}};
 
-struct Failure {
-  const char* code;
-  int exit;
-};
-// By number; the empty ones are used no more.
-constexpr Failure kFailures[] = {{"", 0},
-                                 {"invalid_argument", 1},
-                                 {"not_found", 1},
-                                 {"already_exists", 1},
-                                 {"busy", 1},
-                                 {"", 1},
-                                 {"stale_step", 1},
-                                 {"", 1},
-                                 {"not_finite", 1},
-                                 {"protocol_error", 1},
-                                 {"too_large", 1},
-                                 {"not_authorised", 4},
-                                 {"unavailable", 3},
-                                 {"deadline_exceeded", 5},
-                                 {"aborted", 1},
-                                 {"io_error", 1},
-                                 {"unsupported", 1},
-                                 {"internal", 1},
-                                 {"usage", 2},
-                                 {"interrupted", 130},
-                                 {"not_conserved", 1},
-                                 {"duplicate_id", 1}};
+const std::map<int, const char*> kCodes{
+    {1, "invalid_argument"}, {2, "not_found"},    {3, "already_exists"},     {4, "busy"},
+    {6, "stale_step"},       {8, "not_finite"},   {9, "protocol_error"},     {10, "too_large"},
+    {11, "not_authorised"},  {12, "unavailable"}, {13, "deadline_exceeded"}, {14, "aborted"},
+    {15, "io_error"},        {16, "unsupported"}, {17, "internal"},          {20, "not_conserved"},
+    {21, "duplicate_id"}};
+const std::map<std::string, int> kExits{{"unavailable", 3}, {"not_authorised", 4}, {"deadline_exceeded", 5}};  // else 1
 
 void need(bool holds, const std::string& what) {
   if (!holds) throw std::runtime_error("a frame that breaks the protocol: " + what);
@@ -134,9 +114,13 @@ std::optional<Frame> receive(const std::function<bool(char* to, std::size_t size
 }
 
 Json failure_json(const Status& status) {
-  const Failure& failure = kFailures[static_cast<std::size_t>(status.code())];
+  const std::string code = kCodes.at(static_cast<int>(status.code()));
+  const auto exit = kExits.find(code);
   return {{"failure",
-           {{"code", failure.code}, {"message", status.message()}, {"hint", status.hint()}, {"exit", failure.exit}}}};
+           {{"code", code},
+            {"message", status.message()},
+            {"hint", status.hint()},
+            {"exit", exit == kExits.end() ? 1 : exit->second}}}};
 }
 
 std::string hex64(std::uint64_t value) { return fmt::format("{:016x}", value); }

@@ -1,6 +1,6 @@
-// Frames, written from common/wire/PROTOCOL.md (its sections "Frames" and "Error codes") and sharing no code with client
-// and service: by this fake services judge what a client sends, and answer it. Slow and plain. What breaks the rules is
-// thrown.
+// Frames, written from common/wire/PROTOCOL.md (its sections "Frames" and "Error codes") and sharing no code with
+// client and service: by this fake services judge what a client sends, and answer it. Slow and plain. What breaks the
+// rules is thrown.
 #pragma once
 
 #include <cstdint>

@@ -1,6 +1,7 @@
 #include "client/cli/commands/feed.hpp"
 
 #include <algorithm>
+#include <numeric>
 
 #include <fmt/format.h>
 
@@ -58,26 +59,23 @@ Status Feed::make_scene(int dims) {
   policy_ = scene.policy;
   auto opened = client_->open_scene(options_.name);
   if (!opened) return opened.status();
-  pusher_.emplace(std::move(*opened));
+  pusher_.emplace(std::move(*opened), std::vector<std::int64_t>());
   return {};
 }
 
 Status Feed::go_on(const Json& shown) {
   tolerance_ = shown.at("tolerance");
   policy_ = shown.at("policy").get<std::string>();
-  const auto count = shown.at("n").get<std::uint64_t>();
-  std::vector<std::int64_t> ids;
-  if (count > 0 && shown.at("ids").get<bool>()) {
+  std::vector<std::int64_t> ids(shown.at("n").get<std::size_t>());
+  std::iota(ids.begin(), ids.end(), 0);
+  if (shown.at("ids").get<bool>()) {
     auto asked = ask_ids();
     if (!asked) return asked.status();
     ids = std::move(*asked);
   }
   auto opened = client_->open_scene(options_.name);
   if (!opened) return opened.status();
-  if (count == 0)
-    pusher_.emplace(std::move(*opened));
-  else
-    pusher_.emplace(std::move(*opened), count, std::move(ids));
+  pusher_.emplace(std::move(*opened), std::move(ids));
   return {};
 }
 

@@ -64,7 +64,6 @@ class Feed {
   Progress& progress() { return progress_; }
   std::uint64_t steps() const { return steps_; }
   bool open() const { return pusher_.has_value(); }
-  bool has_particles() const { return pusher_ && pusher_->has_particles(); }
   std::optional<std::int64_t> last_step() const { return pusher_ ? pusher_->last_step() : std::nullopt; }
 
  private:

@@ -1,4 +1,6 @@
 // push: one step from a file.
+#include <numeric>
+
 #include <fmt/format.h>
 
 #include "client/cli/app.hpp"
@@ -13,10 +15,7 @@ namespace {
 struct PushOptions {
   std::string name;
   FileOptions file;
-  bool subset = false;
-  bool unmoved = false;
-  FileOptions inserted;
-  std::vector<std::int64_t> removed;
+  std::uint64_t inserted = 0, removed = 0;
   std::optional<std::int64_t> step;
   std::optional<double> step_seconds;
   bool force = false;
@@ -49,9 +48,17 @@ Result<io::Points> read_for_scene(const FileOptions& file, int dims, const std::
           : fmt::format("create the scene with --dims {}, or give a file with more columns", points->dims));
 }
 
+// A file without ids counts its rows.
+std::vector<std::int64_t> ids_of(const io::Points& points, const PushOptions& options) {
+  std::vector<std::int64_t> ids = points.id;
+  if (ids.empty() && options.inserted + options.removed > 0) {
+    ids.resize(points.count);
+    std::iota(ids.begin(), ids.end(), 0);
+  }
+  return ids;
+}
+
 Status push(const PushOptions& options, const Context& context) {
-  if (options.file.path.empty() && !options.unmoved && options.inserted.path.empty() && options.removed.empty())
-    return {Code::usage, "push: FILE, --unmoved, --insert or --remove is wanted", "rcbctl push --help"};
   auto client = connect(context);
   if (!client) return client.status();
   auto shown = ask(*client, "scene.show", {{"scene", options.name}});
@@ -62,46 +69,32 @@ Status push(const PushOptions& options, const Context& context) {
                                  "solver whose next step has the same number fails");
     if (!free) return free;
   }
-  const int dims = shown->at("dims").get<int>();
   Progress progress("push " + options.name);
-  const auto read = [&](const FileOptions& file) -> Result<io::Points> {
-    if (file.path.empty()) return io::Points{.dims = dims};
-    progress.stage("reading " + file.path);
-    return read_for_scene(file, dims, options.name);
-  };
-  const auto points = read(options.file);
+  progress.stage("reading " + options.file.path);
+  const auto points = read_for_scene(options.file, shown->at("dims").get<int>(), options.name);
   if (!points) return points.status();
-  if (points->count == 0 && !options.file.path.empty() && shown->at("n") == 0)
-    return no_points(options.file.path, options.name);
-  FileOptions new_file = options.file;
-  new_file.path = options.inserted.path;
-  const auto inserted = read(new_file);
-  if (!inserted) return inserted.status();
-  if (inserted->count > 0 && inserted->weight.empty() && shown->at("weights").get<bool>())
+  if (points->count == 0 && shown->at("n") == 0) return no_points(options.file.path, options.name);
+  if (points->count > 0 && points->weight.empty() && shown->at("weights").get<bool>())
     return {Code::invalid_argument,
-            fmt::format("{}: no weights, and scene '{}' has them", options.inserted.path, options.name),
+            fmt::format("{}: no weights, and scene '{}' has them", options.file.path, options.name),
             "name the file's column: --weights w"};
-  if (options.subset && points->id.size() != points->count)
-    return {Code::invalid_argument, fmt::format("{}: no column 'id' says which particles moved", options.file.path),
-            "name the columns, as in \"id,x,y,z\""};
   progress.stage("waiting for the step");
   auto scene = client->open_scene(options.name);
   if (!scene) return scene.status();
   client::StepOptions step;
   step.step = options.step;
-  step.step_seconds = options.step_seconds;
+  const auto ids = ids_of(*points, options);
+  step.ids = ids;
   step.weights = points->weight;
-  const CompactPositions sent(*points), new_sent(*inserted);
-  const bool alone = options.file.path.empty();
-  const bool single = alone ? new_sent.single() : sent.single() && (inserted->count == 0 || new_sent.single());
-  const client::Insertion insertion{new_sent.positions(single && inserted->count > 0), inserted->id, inserted->weight};
-  if (inserted->count > 0) step.inserted = &insertion;
+  step.inserted = options.inserted;
   step.removed = options.removed;
-  if (!options.subset) step.ids = points->id;
-  auto result = alone            ? scene->step_unmoved(step)
-                : options.subset ? scene->step_moved(points->id, sent.positions(single), step)
-                                 : scene->step(sent.positions(single), step);
+  step.step_seconds = options.step_seconds;
+  const CompactPositions sent(*points);
+  auto result = scene->step(sent.positions(), step);
   progress.clear();
+  if (result.status().code() == Code::not_conserved)
+    return {Code::not_conserved, result.status().message(),
+            "say with --inserted N and --removed M how many came and went, or create the scene anew with --replace"};
   if (!result) return result.status();
   const Json report = Json::parse(result->report.json);
   note_empty_parts(result->report.n, result->report.parts);
@@ -112,24 +105,18 @@ Status push(const PushOptions& options, const Context& context) {
 }  // namespace
 
 void add_push_command(CLI::App& app, Context& context) {
-  auto [pushes, pushed] =
-      add_command(app, context,
-                  {"push", "One step from a file",
-                   "  rcbctl push jet step0.csv\n  rcbctl push jet step7.npy --step 7\n"
-                   "  rcbctl push jet moved.csv --subset\n  rcbctl push jet --insert inflow.csv --remove 17,42",
-                   kSceneGroup},
-                  push);
+  auto [pushes, pushed] = add_command(app, context,
+                                      {"push", "One step from a file",
+                                       "  rcbctl push jet step0.csv\n  rcbctl push jet step7.npy --step 7\n"
+                                       "  rcbctl push jet step8.csv --inserted 20 --removed 3",
+                                       kSceneGroup},
+                                      push);
   add_scene_name(pushes, pushed.name);
-  CLI::Option* file = add_file_options(pushes, pushed.file);
-  file->required(false);
-  CLI::Option* unmoved = pushes.add_flag("--unmoved", pushed.unmoved, "nothing moved; no FILE");
-  unmoved->excludes(file);
-  pushes.add_flag("--subset", pushed.subset, "FILE holds only the particles that moved: columns id,x,y,z")->needs(file);
-  add_value(pushes, "--insert", pushed.inserted.path, kind::text("FILE"),
-            "a file of particles to add; ids of its own, or the service chooses them; options of columns hold for both "
-            "files");
-  add_list(pushes, "--remove", pushed.removed, kind::whole_number("IDS", 0),
-           "ids of particles to remove, with commas between");
+  add_file_options(pushes, pushed.file);
+  add_value(pushes, "--inserted", pushed.inserted, kind::whole_number("N", 0),
+            "particles of FILE that weren't in the last step; without this and --removed it must have the same");
+  add_value(pushes, "--removed", pushed.removed, kind::whole_number("M", 0),
+            "particles of the last step that aren't in FILE");
   add_value(pushes, "--step", pushed.step, kind::whole_number("K", 0, wire::kStepMax),
             "its number (default: the last + 1, 0 at first)");
   add_value(pushes, "--step-seconds", pushed.step_seconds, kind::number_from_zero("SECONDS"), kStepSecondsHelp);

@@ -128,7 +128,7 @@ class Stream {
       if (interrupted()) return feed_.stopped();
       if (!points) return points.status();
       if (!*points) return check_end(**reader);
-      if (!feed_.has_particles() && (*points)->count == 0) continue;  // written before the first particle was made
+      if (!feed_.last_step() && (*points)->count == 0) continue;  // written before the first particle was made
       if (!feed_.open())
         if (Status status = feed_.make_scene((*points)->dims); !status) return status;
       const std::string frame =

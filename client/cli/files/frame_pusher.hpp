@@ -22,14 +22,12 @@ class CompactPositions {
         if (static_cast<double>(static_cast<float>(value)) != value) return;
     for (const auto& axis : points.position) single_.emplace_back(axis.begin(), axis.end());
   }
-  bool single() const { return !single_.empty() && points_.count > 0; }
-  client::Positions positions(bool as_single) const {
-    if (!as_single) return positions_of(points_);
+  client::Positions positions() const {
+    if (single_.empty()) return positions_of(points_);
     std::vector<const float*> axes;
     for (const auto& axis : single_) axes.push_back(axis.data());
     return client::Positions::axes(axes, points_.count);
   }
-  client::Positions positions() const { return positions(single()); }
 
  private:
   const io::Points& points_;
@@ -44,27 +42,17 @@ Status check_not_held(const Json& shown, const std::string& scene, const std::st
 
 class FramePusher {
  public:
-  // A scene without particles.
-  explicit FramePusher(client::Scene scene) : scene_(std::move(scene)) {}
-  // A scene that has particles: count of them, with these ids, ascending; empty: their rows' numbers.
-  FramePusher(client::Scene scene, std::uint64_t count, std::vector<std::int64_t> ids);
+  // ids: of the particles that the scene has, ascending.
+  FramePusher(client::Scene scene, std::vector<std::int64_t> ids) : scene_(std::move(scene)), ids_(std::move(ids)) {}
 
-  // The scene's rows are those of the first frame, as long as none comes or goes. Errors: the service's;
-  // invalid_argument, if particles came or went, and there are no ids to tell which.
+  // Says to the service how many particles came and went, as the ids tell. Errors: the service's; invalid_argument, if
+  // particles came or went, and there are no ids.
   Result<client::StepResult> push(const io::Points& frame, client::StepOptions step);
-  bool has_particles() const { return has_particles_; }
   std::optional<std::int64_t> last_step() const { return scene_.last_step(); }
 
  private:
-  Result<client::StepResult> push_first(const io::Points& frame, client::StepOptions step);
-  Result<client::StepResult> push_changed(const io::Points& frame, client::StepOptions step);
-
   client::Scene scene_;
-  bool has_particles_ = false;
-  bool own_ids_ = false;   // the particles have ids of their own
-  bool said_ids_ = false;  // the service has been told whose rows these are
-  std::uint64_t count_ = 0;
-  std::vector<std::int64_t> ids_;  // by row
+  std::vector<std::int64_t> ids_;  // ascending; the rows' numbers, if the solver gives none
 };
 
 }  // namespace rcb::cli

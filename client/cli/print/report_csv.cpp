@@ -10,9 +10,9 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr std::initializer_list<const char*> kColumns = {
-    "scene",   "step",         "epoch",   "n",          "error_before", "error",    "imbalance", "repartitioned",
-    "reason",  "axes_flipped", "drifted", "moved",      "migrated",     "inserted", "removed",   "first_id",
-    "scanned", "searched",     "rounds",  "reductions", "skipped",      "bytes"};
+    "scene",         "step",    "epoch",        "n",       "error_before", "error",    "imbalance",
+    "repartitioned", "reason",  "axes_flipped", "drifted", "moved",        "migrated", "inserted",
+    "removed",       "scanned", "searched",     "rounds",  "reductions",   "skipped",  "bytes"};
 // After the seconds: these fields were added last, and columns keep their places.
 constexpr std::initializer_list<const char*> kLastColumns = {"parts",          "way",      "weights_as_zero", "sent",
                                                              "positions_step", "strangers"};

@@ -1,5 +1,5 @@
-// dem_parallel: the spheres of spheres.hpp on several processes, each a member of the scene. A process computes those
-// of its own parts; at every time step it gets copies of others that may touch them, the halo.
+// dem_parallel: the spheres of spheres.hpp on several processes, each with a seat of the scene. A process computes
+// those of its own parts; at every time step it gets copies of others that may touch them, the halo.
 #include <algorithm>
 #include <cstdio>
 #include <iterator>
@@ -9,7 +9,7 @@
 #include <mpi.h>
 
 #include "client/examples/cpp/spheres.hpp"
-#include "client/lib/member.hpp"
+#include "client/lib/client.hpp"
 
 namespace rcb::examples {
 namespace {
@@ -70,9 +70,9 @@ struct Arrays {  // as the service takes them
 };
 
 // Pushes my spheres, hands over those that leave, and takes in those that others hand over.
-bool push(client::MemberScene& scene, std::vector<Sphere>& mine, int size) {
+bool push(client::Scene& scene, std::vector<Sphere>& mine, int size) {
   const Arrays arrays(mine);
-  const auto told = scene.step(client::Positions::rows(arrays.xyz.data(), mine.size(), 3), arrays.ids);
+  const auto told = scene.step(client::Positions::rows(arrays.xyz.data(), mine.size(), 3), {.ids = arrays.ids});
   if (!all_well(told.status())) return false;
   Lists leaving(static_cast<std::size_t>(size));
   for (const auto& one : told->leaving) leaving[static_cast<std::size_t>(one.to)].push_back(one.row);
@@ -84,7 +84,7 @@ bool push(client::MemberScene& scene, std::vector<Sphere>& mine, int size) {
 }
 
 // The routes by which halos go until the next push.
-std::optional<Routes> halo_routes(client::MemberScene& scene, const std::vector<Sphere>& mine, const Options& options,
+std::optional<Routes> halo_routes(client::Scene& scene, const std::vector<Sphere>& mine, const Options& options,
                                   int rank, int size) {
   const Arrays arrays(mine);
   // A sphere of another process and one of mine may both move by `reach` until then, towards each other. The millionth
@@ -115,7 +115,7 @@ int run(const Options& options) {
   if (made && rank == 0)
     made = client->create_scene(options.scene, {.parts = parts, .tolerance = 0.05, .replace = true});
   if (!all_well(made)) return 1;  // a barrier, too: nobody opens the scene before it is there
-  auto scene = client::MemberScene::open(*client, options.scene, {.member = rank, .members = size, .follow = true});
+  auto scene = client->open_scene(options.scene, {.seat = rank, .seats = size});
   if (!all_well(scene.status())) return 1;
 
   const auto share = [&](int process) { return options.particles * process / size; };

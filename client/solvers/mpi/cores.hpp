@@ -13,7 +13,7 @@
 
 #include <mpi.h>
 
-#include "client/lib/member.hpp"
+#include "client/lib/client.hpp"
 #include "client/solvers/mpm/mpm.hpp"
 #include "common/base/status.hpp"
 

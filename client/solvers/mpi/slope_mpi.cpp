@@ -1,4 +1,4 @@
-// slope_mpi: the submarine slope on several processes, each a member of the scene that the service partitions. A
+// slope_mpi: the submarine slope on several processes, each with a seat of the scene that the service partitions. A
 // process holds only the points of its own parts; each step tells which of them it hands over to whom.
 #include <algorithm>
 #include <array>
@@ -13,7 +13,6 @@
 #include <nlohmann/json.hpp>
 
 #include "client/lib/client.hpp"
-#include "client/lib/member.hpp"
 #include "client/solvers/drive.hpp"
 #include "client/solvers/mpi/cores.hpp"
 #include "client/solvers/scenes.hpp"
@@ -107,7 +106,7 @@ Result<Mpm> make_share(const Options& options, int rank, int size) {
 
 struct Seat {
   client::Client client;
-  client::MemberScene scene;
+  client::Scene scene;
 };
 
 Result<std::unique_ptr<Seat>> open_scene(const Options& options, MpiCores& cores) {
@@ -124,8 +123,7 @@ Result<std::unique_ptr<Seat>> open_scene(const Options& options, MpiCores& cores
         options.scene,
         {.parts = options.parts, .tolerance = options.tolerance, .positions = options.positions, .replace = true});
   if (Status all = cores.agree(status); !all) return all;
-  auto scene = client::MemberScene::open(*client, options.scene,
-                                         {.member = cores.rank(), .members = cores.size(), .follow = true});
+  auto scene = client->open_scene(options.scene, {.seat = cores.rank(), .seats = cores.size()});
   if (Status all = cores.agree(scene.status()); !all) return all;
   return std::unique_ptr<Seat>(new Seat{std::move(*client), std::move(*scene)});
 }
@@ -155,12 +153,13 @@ Status check_held(client::Client& client, const Options& options, const client::
 Status push(Seat& seat, const Options& options, MpiCores& cores, Mpm& mpm, std::int64_t step, double advanced,
             const Clock& clock, Record& record) {
   const std::array<const double*, 3> axes{mpm.position(0).data(), mpm.position(1).data(), mpm.position(2).data()};
-  client::MemberStepOptions with;
+  client::StepOptions with;
   with.step = step;
+  with.ids = mpm.id();
   if (step > 0) with.step_seconds = advanced;
   with.deadline_seconds = options.deadline_seconds;
   const double begin = clock.seconds();
-  const auto news = seat.scene.step(client::Positions::axes(axes, mpm.size()), mpm.id(), with);
+  const auto news = seat.scene.step(client::Positions::axes(axes, mpm.size()), with);
   const double answered = clock.seconds();
   record.seconds_service += answered - begin;
   if (Status all = cores.agree(news.status()); !all)
@@ -246,7 +245,7 @@ void say_end(const Options& options, const MpiCores& cores, const Record& record
 
 int run_on(MpiCores& cores, int argc, char** argv) {
   CLI::App app(
-      "The submarine slope of `slope` on several processes. Each is a member of the scene and holds the points of its\n"
+      "The submarine slope of `slope` on several processes. Each has a seat of the scene and holds the points of its\n"
       "own parts; each step tells which of them it hands over to whom:\n"
       "  mpirun --oversubscribe -n 4 slope_mpi        (as root also --allow-run-as-root)",
       "slope_mpi");

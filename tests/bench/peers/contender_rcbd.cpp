@@ -2,7 +2,7 @@
 #include <array>
 
 #include "common/partition/partition.hpp"
-#include "server/service/step/migration.hpp"
+#include "server/service/step/exchange.hpp"
 #include "tests/bench/peers/contender.hpp"
 
 namespace rcb::bench {
@@ -47,7 +47,7 @@ class RcbdContender final : public Contender {
     result_ = std::move(*result);
     if (migrates()) {
       scene_.part.swap(result_.part);
-      service::migrate(comm_, scene_, true);
+      service::send_strangers(comm_, scene_, true);
     }
     return {};
   }

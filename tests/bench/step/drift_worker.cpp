@@ -11,8 +11,7 @@
 #include "common/layout/layout.hpp"
 #include "common/partition/balance/bounding_box.hpp"
 #include "common/partition/incremental/repartition.hpp"
-#include "server/service/step/migration.hpp"
-#include "server/service/step/step.hpp"
+#include "server/service/step/exchange.hpp"
 #include "tests/bench/json.hpp"
 #include "tests/bench/measure.hpp"
 #include "tests/bench/plan.hpp"
@@ -58,7 +57,7 @@ Held hold(comm::Comm& comm, const SceneKind& kind, const Cell& cell) {
   RCB_CHECK(found.ok(), found.status().message());
   scene.tree = std::move(found->tree);
   scene.part = std::move(found->part);
-  service::migrate(comm, scene, true);
+  service::send_strangers(comm, scene, true);
   for (std::size_t a = 0; a < static_cast<std::size_t>(kind.dims); ++a) held.start[a] = scene.particles.position[a];
   held.box = partition::bounding_box(comm, scene.particles.view());
   return held;
@@ -85,7 +84,8 @@ double crossed(comm::Comm& comm, const Held& held, Buffer<std::int32_t>& part) {
   const auto view = held.scene.particles.view();
   part.resize(view.count);
   held.scene.tree.classify(view, part.span());
-  std::uint64_t count = service::count_differences(part.span(), held.scene.part.span());
+  std::uint64_t count = 0;
+  for (std::size_t i = 0; i < part.size(); ++i) count += part[i] != held.scene.part[i] ? 1U : 0U;
   comm.all_sum({&count, 1});
   return static_cast<double>(count) / static_cast<double>(held.scene.n);
 }

@@ -18,7 +18,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--ranks", default="2")
     parser.add_argument("--repeats", default="41")
-    parser.add_argument("--variants", default="axes,rows,endpoint,float32,unmoved,connect")
+    parser.add_argument("--variants", default="sockets,endpoint,float32,count,connect")
     parser.add_argument("--build", default=os.path.join(ROOT, "build", "release"))
     told, more = parser.parse_known_args()
     with Hosts(2) as hosts:

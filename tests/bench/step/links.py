@@ -37,7 +37,7 @@ ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", "..")
 sys.path.insert(0, os.path.join(ROOT, "tests", "hosts"))
 from hosts import Hosts
 
-STEPS = {"all": "axes", "few": "subset", "none": "unmoved"}  # which particles moved: variant of rcb_bench step
+STEPS = {"all": "sockets", "none": "count-members"}  # whose positions travel: variant of rcb_bench step
 DIMS, PARTS = 3, 8  # of the scene `moving` of rcb_bench step
 SETTINGS = [(0, 10), (0.5, 10), (1, 10), (5, 10), (1, 1), (1, 0.1)]  # round trip in ms, Gbit/s
 COUNTED_AT = 0.04  # seconds from machine to machine
@@ -95,7 +95,7 @@ class Bench:
             return dict(zip(kinds, [row["seconds"] for row in json.load(written)["rows"]]))
 
     def partition(self):
-        return json.loads(self.run("rcbctl", "rebalance", "step-axes", "--json"))["seconds"]
+        return json.loads(self.run("rcbctl", "rebalance", "step-sockets", "--json"))["seconds"]
 
     def seconds(self):
         found = self.steps(STEPS, self.told.repeats)
@@ -174,7 +174,7 @@ def row(count, told, kind, setting, counted, predicted, seconds):
     trip, rate = setting
     chain, frames, _, size = counted
     return {"scene": "moving", "n": int(told.points), "dims": DIMS, "parts": PARTS, "ranks": count, "hosts": count,
-            "tool": "rcbd", "method": "rcb", "work": "partition" if kind == "partition" else "step", "moved": kind,
+            "tool": "rcbd", "method": "rcb", "work": "partition" if kind == "partition" else "step", "sent": kind,
             "cut_tolerance": 0, "latency": trip / 2000, "bandwidth": rate * 1e9 / 8, "rounds": chain, "frames": frames,
             "bytes": size, "seconds": seconds, "seconds_predicted": predicted, "ratio": {"model": seconds / predicted}}
 

@@ -10,7 +10,6 @@ namespace {
 
 constexpr const char* kStep = "step";
 constexpr const char* kFirst = "first push";
-constexpr std::size_t kHundred = 100;
 
 const std::vector<Case>& all_cases() {
   const Side flat{.words = "2-D", .points = "plane"};
@@ -28,18 +27,10 @@ const std::vector<Case>& all_cases() {
       {"weights", kStep, plain, uneven, false, false},
       {"ids", kFirst, plain, own_ids},
       {"ids", kStep, plain, own_ids},
-      {"motion",
-       kStep,
-       {.words = "none moved, said", .motion = Motion::none, .tells_moved = true},
-       {.words = "all pushed", .motion = Motion::none}},
-      {"motion",
-       kStep,
-       {.words = "1 % moved, said", .motion = Motion::hundredth, .tells_moved = true},
-       {.words = "all pushed", .motion = Motion::hundredth}},
       {"exchange",
        kStep,
-       {.words = "none crosses", .motion = Motion::none},
-       {.words = "exchanged", .no_skip = "exchange", .motion = Motion::none},
+       {.words = "none crosses", .still = true},
+       {.words = "exchanged", .no_skip = "exchange", .still = true},
        true,
        true,
        -1,
@@ -61,7 +52,6 @@ const std::vector<Case>& all_cases() {
        {.words = "float32", .rounded = true, .single = true},
        {.words = "float64", .rounded = true}},
       {"questions", kStep, {.words = "nobody asks"}, {.words = "quality", .asks = "quality"}},
-      {"questions", kStep, {.words = "nobody asks"}, {.words = "plan", .asks = "plan"}},
       {"questions", kStep, {.words = "nobody asks"}, {.words = "export (fetch)", .asks = "fetch"}},
   };
   return cases;
@@ -83,9 +73,8 @@ SidePoints::SidePoints(const Side& side, std::size_t count) : side_(side), count
     if (side.jitter)
       for (double& x : axes_[0][a]) x += distance * random.uniform(-0.1, 0.1);
     axes_[1][a] = axes_[0][a];
-    const std::size_t every = side.motion == Motion::hundredth ? kHundred : 1;
-    for (std::size_t i = 0; i < count && side.motion != Motion::none; i += every)
-      axes_[1][a][i] += 0.01 * distance * (0.5 + random.uniform());
+    if (!side.still)
+      for (double& x : axes_[1][a]) x += 0.01 * distance * (0.5 + random.uniform());
   }
   if (side.as_solid)
     for (auto& phase : axes_) phase[2].assign(count, 0.0);
@@ -97,7 +86,6 @@ SidePoints::SidePoints(const Side& side, std::size_t count) : side_(side), count
   for (std::size_t i = 0; i < count && side.ids; ++i) ids_.push_back(static_cast<std::int64_t>(i));
   if (side.weight > 0) weights_.assign(count, side.weight);
   for (std::size_t i = 0; i < weights_.size() && side.weights_differ; ++i) weights_[i] = 1 + static_cast<double>(i % 7);
-  for (std::size_t i = 0; i < count && side.motion == Motion::hundredth; i += kHundred) moved_.push_back(i);
 }
 
 client::Positions SidePoints::at(int phase) const {
@@ -110,14 +98,6 @@ client::Positions SidePoints::at(int phase) const {
   std::array<const double*, 3> pointers{};
   for (std::size_t a = 0; a < d; ++a) pointers[a] = axes_[phase][a].data();
   return client::Positions::axes(std::span(pointers).first(d), count_);
-}
-
-client::StepOptions SidePoints::options(bool first) const {
-  client::StepOptions options;
-  options.weights = weights_;
-  if (first) options.ids = ids_;
-  if (!first && side_.tells_moved) options.moved = moved_;
-  return options;
 }
 
 }  // namespace rcb::bench

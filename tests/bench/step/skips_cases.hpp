@@ -10,24 +10,20 @@
 
 namespace rcb::bench {
 
-// Positions of two steps, in turn.
-enum class Motion { all, hundredth, none };
-
 // One side of a case: its points, and how they are pushed.
 struct Side {
   const char* words;
   const char* no_skip = "";      // of its service
   const char* points = "slope";  // scenes.hpp
-  Motion motion = Motion::all;
-  bool jitter = false;          // the points shaken by a tenth of their distance
-  bool as_solid = false;        // two dimensions as three with z = 0
-  bool rounded = false;         // values that float32 has, too
-  bool single = false;          // and they are sent so
-  bool tells_moved = false;     // the push says what moved, and brings no more
-  bool ids = false;             // 0..n-1, said at the first push
-  double weight = 0;            // of each particle, sent with every push; 0: none are
-  bool weights_differ = false;  // particle i's is 1 + i mod 7
-  const char* asks = "";        // a command whose answer is waited for after each step
+  bool still = false;            // else all points move, there and back
+  bool jitter = false;           // the points shaken by a tenth of their distance
+  bool as_solid = false;         // two dimensions as three with z = 0
+  bool rounded = false;          // values that float32 has, too
+  bool single = false;           // and they are sent so
+  bool ids = false;              // 0..n-1, sent with every push
+  double weight = 0;             // of each particle, sent with every push; 0: none are
+  bool weights_differ = false;   // particle i's is 1 + i mod 7
+  const char* asks = "";         // a command whose answer is waited for after each step
 };
 
 struct Case {
@@ -50,8 +46,7 @@ class SidePoints {
   int dims() const { return dims_; }
   std::size_t count() const { return count_; }
   client::Positions at(int phase) const;
-  // With `ids` and `weights` as the side has them.
-  client::StepOptions options(bool first) const;
+  client::StepOptions options() const { return {.ids = ids_, .weights = weights_}; }
 
  private:
   Side side_;
@@ -61,7 +56,6 @@ class SidePoints {
   std::array<std::vector<float>, 3> singles_[2];
   std::vector<std::int64_t> ids_;
   std::vector<double> weights_;
-  std::vector<std::uint64_t> moved_;
 };
 
 }  // namespace rcb::bench

@@ -4,6 +4,7 @@
 #include <compare>
 #include <map>
 #include <optional>
+#include <span>
 #include <utility>
 
 #include <fmt/format.h>
@@ -54,7 +55,7 @@ class Floors {
     if (is_count(variant)) return keys;
     const std::size_t sent = motion.bytes_sent(variant);
     for (const auto& [name, kind] : {std::pair{"floor", Floor::Kind::sockets}, {"memory", Floor::Kind::memory}})
-      keys.push_back({name, sent > 0 ? FloorKey{kind, sent, ranks} : FloorKey{kind, 1, 1}});  // a round trip is left
+      keys.push_back({name, sent > 0 ? FloorKey{kind, sent, ranks} : FloorKey{kind, 1, 1}});  // connect: a round trip
     return keys;
   }
 
@@ -65,9 +66,9 @@ class Floors {
       shares.push_back(key.bytes * (p + 1) / processes - key.bytes * p / processes);
     floors_.try_emplace(key, key.kind, shares);
   }
-  Status take_turn(const std::byte* from, bool timed) {
+  Status take_turn(std::span<const double> bytes, bool timed) {
     for (auto& [key, floor] : floors_) {
-      const auto seconds = floor.seconds(from);
+      const auto seconds = floor.seconds(reinterpret_cast<const std::byte*>(bytes.data()));
       if (!seconds) return {Code::internal, "a process of the floor is gone"};
       if (timed) seconds_[key].push_back(*seconds);
     }
@@ -179,6 +180,8 @@ Status run_cell(const StepCell& cell, const StepBenchOptions& options, Json& row
   Floors floors;
   for (const std::string& variant : options.variants)
     for (const auto& [name, key] : floors_of(variant)) floors.add(key);
+  std::vector<double> bytes = cell.motion.rows[0];  // with room for ids
+  bytes.resize(bytes.size() + cell.motion.n);
   std::vector<Timed> contenders;
   for (const std::string& variant : options.variants)
     for (const std::string& endpoint : endpoints) {
@@ -188,8 +191,7 @@ Status run_cell(const StepCell& cell, const StepBenchOptions& options, Json& row
     }
   for (int turn = -kWarmUpSteps; turn < options.repeats; ++turn) {
     const int phase = (turn + kWarmUpSteps) % 2;
-    const auto* const from = reinterpret_cast<const std::byte*>(cell.motion.rows[phase].data());
-    if (Status status = floors.take_turn(from, turn >= 0); !status.ok()) return status;
+    if (Status status = floors.take_turn(bytes, turn >= 0); !status.ok()) return status;
     for (Timed& one : contenders)
       if (Status status = take_turn(one, phase, turn >= 0, round_trip); !status.ok()) return explained(status);
   }

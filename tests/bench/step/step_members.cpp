@@ -9,7 +9,6 @@
 
 #include <fmt/format.h>
 
-#include "client/lib/member.hpp"
 #include "common/base/clock.hpp"
 #include "common/layout/layout.hpp"
 
@@ -17,7 +16,7 @@ namespace rcb::bench {
 
 struct MemberTeam::Member {
   std::optional<client::Client> client;
-  std::optional<client::MemberScene> scene;
+  std::optional<client::Scene> scene;
   std::vector<std::int64_t> ids;  // of the particles it has: their rows
   std::array<std::vector<double>, 3> position;
   Status status;
@@ -34,7 +33,7 @@ struct MemberTeam::Member {
     std::array<const double*, 3> pointers{};
     for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) pointers[a] = position[a].data();
     auto answer = scene->step(
-        client::Positions::axes(std::span(pointers).first(static_cast<std::size_t>(dims)), ids.size()), ids);
+        client::Positions::axes(std::span(pointers).first(static_cast<std::size_t>(dims)), ids.size()), {.ids = ids});
     status = answer.status();
     if (!status.ok()) return;
     report = std::move(answer->report);
@@ -56,7 +55,7 @@ Status MemberTeam::open(const std::string& endpoint, const std::string& scene, c
     auto client = client::Client::connect({.endpoint = endpoint, .name = fmt::format("member {}", k), .path = path});
     if (!client.ok()) return client.status();
     mine.client.emplace(std::move(*client));
-    auto opened = client::MemberScene::open(*mine.client, scene, {.member = k, .members = members, .follow = true});
+    auto opened = mine.client->open_scene(scene, {.seat = k, .seats = members});
     if (!opened.ok()) return opened.status();
     mine.scene.emplace(std::move(*opened));
     const std::uint64_t n = axes_[0][0].size();

@@ -14,18 +14,17 @@
 
 namespace rcb::bench {
 
-// shared-memory: the solver computes in arrays of the library, rows or an array an axis; shared-memory-copy: it keeps
-// its own rows. By sockets to each rank: axes, rows, float32 (axes).
-// endpoint: rows through rank 0. members: a parallel solver's, with the particles of their parts, from shared memory;
-// members-sockets and members-endpoint: the same by these ways. subset: every hundredth particle moved. connect: no
-// step, but the time until a new client has been let in.
-// count: own rows of a scene whose positions travel when needed, so that none do; count-weighted: with a weight for
-// each particle; count-members: by members. send: as shared-memory, of such a scene at the tolerance 0, so that each
-// step is counted, then sends, and new cuts are found.
+// every-step: the solver computes in arrays of the library, which the ranks read; every-step-copy: it keeps its own,
+// which are copied into shared memory. sockets: straight to each rank; float32: the same in single precision. endpoint:
+// through rank 0. connect: no step, but the time until a new client has been let in. every-step-members: a parallel
+// solver's, with the particles of their parts, from shared memory; members-sockets and members-endpoint: the same by
+// these ways. count: own rows of a scene whose positions travel when needed, so that none do; count-permuted: in a new
+// order each step; count-weighted: with a weight for each particle; count-members: by members. send: as every-step, of
+// such a scene at the tolerance 0, so that each step is counted, then sends, and new cuts are found.
 inline constexpr std::array kStepVariants{
-    "count",  "count-weighted", "send",    "shared-memory",   "shared-memory-axes", "shared-memory-copy", "axes",
-    "rows",   "endpoint",       "members", "members-sockets", "members-endpoint",   "count-members",      "float32",
-    "subset", "unmoved",        "connect"};
+    "count",           "count-permuted",   "count-weighted", "send",    "every-step",
+    "every-step-copy", "sockets",          "endpoint",       "float32", "every-step-members",
+    "members-sockets", "members-endpoint", "count-members",  "connect"};
 
 bool is_count(const std::string& variant);
 // The processes of a solver step together.
@@ -38,8 +37,8 @@ struct MovingPoints {
   int dims = 3;
   std::size_t n = 0;
   std::array<std::vector<double>, 3> axes[2];
-  std::array<std::vector<float>, 3> singles[2];
   std::vector<double> rows[2];
+  std::vector<float> singles[2];  // rows
 
   // shuffled: neighbours in the arrays aren't neighbours in space.
   MovingPoints(const SceneKind& kind, std::size_t count, bool shuffled);
@@ -48,8 +47,6 @@ struct MovingPoints {
   std::size_t bytes_sent(const std::string& variant) const;
   // The positions that its client looks at.
   std::size_t bytes_read(const std::string& variant) const;
-  client::Positions by_singles(int phase) const;
-  client::Positions by_axes(int phase) const;
 };
 
 // One variant's scene, and its positions the way the variant has them.
@@ -65,21 +62,21 @@ class Pusher {
  private:
   client::Path path() const;
   Result<client::Positions> prepare(int phase);
-  client::Positions own_rows(int phase);
-  Status check_way(const client::StepReport& report, bool first) const;
+  void permute(int phase);
+  Result<double> step_alone(int phase, client::StepReport& report);
   Result<double> connect() const;
 
   std::string variant_;
   const MovingPoints& motion_;
   client::ConnectOptions connect_;
   Random random_{23};
-  std::vector<std::uint64_t> moved_;
-  std::vector<double> rows_;  // of the count variants
+  std::vector<double> rows_;       // of the count variants
+  std::vector<std::int64_t> ids_;  // of their particles; empty: the rows' numbers
   std::vector<double> weights_;
   std::optional<client::Client> client_;
   std::optional<client::Scene> scene_;
   std::optional<MemberTeam> team_;  // instead
-  bool first_ = true;               // step of the team
+  bool first_ = true;
 };
 
 }  // namespace rcb::bench

@@ -10,7 +10,6 @@
 #include "client/launch/launch.hpp"
 #include "client/lib/client.hpp"
 #include "common/base/random.hpp"
-#include "common/wire/message.hpp"
 
 namespace rcb::client {
 namespace {
@@ -107,7 +106,7 @@ void check_owners(const std::string& endpoint, const CutsCase& of) {
     EXPECT_EQ(known->epoch(), 1U) << "those of the step that was answered";
     const auto moved = on_cuts(known->tree(), of.count, random);
     const Positions positions = Positions::rows(moved.data(), of.count, of.dims);
-    const auto done = scene->step(positions, {.want_parts = true, .want_changes = true, .threads = step});
+    const auto done = scene->step(positions, {.ids = ids, .want_parts = true, .want_changes = true, .threads = step});
     ASSERT_TRUE(done.ok()) << done.status().message();
     const auto parts = assigned(*client, "cut", ids);
     EXPECT_EQ(differences(done->parts, parts), 0U);
@@ -120,11 +119,6 @@ void check_owners(const std::string& endpoint, const CutsCase& of) {
     for (const PartChange& change : done->changes) before[change.row] = change.part;
     EXPECT_EQ(differences(before, parts), 0U);
     expect_tiles(*cuts, positions, parts);
-  }
-  const auto stats = client->call("stats", R"({"scene":"cut"})");
-  const auto json = wire::parse_json(stats->json);
-  if (of.path == Path::shared && !of.own_ids) {
-    EXPECT_FALSE(json->at("asked").contains("plan")) << "parts take no plan";
   }
 }
 

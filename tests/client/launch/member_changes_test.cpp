@@ -15,7 +15,6 @@
 
 #include "client/launch/launch.hpp"
 #include "client/lib/client.hpp"
-#include "client/lib/member.hpp"
 #include "common/base/random.hpp"
 
 namespace rcb::client {
@@ -23,7 +22,8 @@ namespace {
 
 using Point = std::array<double, 3>;
 
-constexpr int kRebalanced = 6;  // after this step
+constexpr int kRebalanced = 6;      // after this step
+constexpr std::int64_t kAll = 600;  // particles at the start
 
 // Where all particles of the solver are. Its members hold disjoint sets of them.
 struct Solver {
@@ -46,7 +46,7 @@ class ChangingMember {
   }
 
   void solve(int steps) {
-    auto scene = MemberScene::open(*client_, "team", {.member = member_, .members = members_, .follow = true});
+    auto scene = client_->open_scene("team", {.seat = member_, .seats = members_});
     EXPECT_TRUE(scene.ok()) << scene.status().message();
     if (!scene.ok()) return solver_.all_have_read.arrive_and_drop();
     {
@@ -57,7 +57,6 @@ class ChangingMember {
     for (int step = 0; step < steps && !::testing::Test::HasFatalFailure(); ++step) {
       solver_.all_have_read.arrive_and_wait();
       push(*scene, step);
-      // The places that members know are then wrong, so all push the next step by ids.
       if (step == kRebalanced && member_ == 0) {
         EXPECT_TRUE(client_->call("rebalance", R"({"scene":"team","method":"bands-x"})").ok());
       }
@@ -70,60 +69,49 @@ class ChangingMember {
   }
 
  private:
-  void push(MemberScene& scene, int step) {
-    MemberStepOptions options;
-    std::vector<std::uint64_t> moved;
+  void push(Scene& scene, int step) {
     std::vector<std::int64_t> removed;
-    std::vector<double> inserted, rows;
-    const std::uint64_t kind = step == 0 ? 0 : random_.below(4);
+    std::vector<double> rows;
+    StepOptions options{.want_parts = true};
     {
       const std::lock_guard lock(solver_.mutex);
-      for (std::size_t row = 0; row < ids_.size(); ++row) {
-        Point& at = solver_.at.at(ids_[row]);
-        if (kind == 0 || (kind == 1 && random_.below(4) == 0)) {
-          for (double& x : at) x += random_.uniform(-0.02, 0.02);
-          moved.push_back(row);
-        }
+      const bool moves = step == 0 || random_.below(4) > 0;
+      std::vector<std::int64_t> stay;
+      for (const std::int64_t id : ids_) (step > 0 && random_.below(12) == 0 ? removed : stay).push_back(id);
+      for (const std::int64_t id : removed) solver_.at.erase(id);
+      ids_ = std::move(stay);
+      options.removed = removed.size();
+      options.inserted = step == 0 ? 0 : random_.below(9);
+      for (std::uint64_t k = 0; k < options.inserted; ++k) {
+        ids_.push_back(kAll + members_ * new_++ + member_);
+        solver_.at[ids_.back()] = {random_.uniform(), random_.uniform(), random_.uniform()};
+      }
+      for (const std::int64_t id : ids_) {
+        Point& at = solver_.at.at(id);
+        for (double& x : at) x += moves ? random_.uniform(-0.02, 0.02) : 0;
         rows.insert(rows.end(), at.begin(), at.end());
-        if (step > 0 && random_.below(12) == 0) removed.push_back(ids_[row]);
       }
     }
-    if (kind == 1) options.moved = moved;
-    options.unmoved = kind == 2;
-    if (kind == 3) options.moved = std::span<const std::uint64_t>();
-    std::reverse(moved.begin(), moved.end());  // any order
-    const std::size_t count = step == 0 ? 0 : random_.below(9);
-    for (std::size_t k = 0; k < 3 * count; ++k) inserted.push_back(random_.uniform());
-    const Insertion in{.positions = Positions::rows(inserted.data(), count, 3), .ids = {}, .weights = {}};
-    options.removed = removed;
-    options.want_parts = true;
-    if (count > 0) options.inserted = &in;
-    const auto done = scene.step(Positions::rows(rows.data(), ids_.size(), 3), ids_, options);
+    options.ids = ids_;
+    const auto done = scene.step(Positions::rows(rows.data(), ids_.size(), 3), options);
     ASSERT_TRUE(done.ok()) << done.status().message();
-    ASSERT_EQ(done->inserted_ids.size(), count);
     const auto cuts = scene.cuts();
     ASSERT_TRUE(cuts.ok()) << cuts.status().message();
     EXPECT_EQ(cuts->epoch(), done->report.epoch);
-    const std::set<std::int64_t> gone(removed.begin(), removed.end());
-    std::vector<std::int64_t> all = ids_, stay;
-    all.insert(all.end(), done->inserted_ids.begin(), done->inserted_ids.end());
-    ASSERT_EQ(done->parts.size(), all.size());
+    ASSERT_EQ(done->parts.size(), ids_.size());
+    std::vector<std::int64_t> stay;
     std::vector<std::pair<std::uint64_t, int>> leaving, told;
     for (const LeavingRow& one : done->leaving) told.emplace_back(one.row, one.to);
-    for (std::size_t row = 0; row < all.size(); ++row) {
+    for (std::size_t row = 0; row < ids_.size(); ++row) {
       const int to = cuts::seat_of_part(done->parts[row], done->report.parts, members_);
-      if (gone.contains(all[row])) continue;
       if (to != member_) leaving.emplace_back(row, to);
-      if (to == member_) stay.push_back(all[row]);
+      if (to == member_) stay.push_back(ids_[row]);
     }
     EXPECT_EQ(told, leaving);
     {
       const std::lock_guard lock(solver_.mutex);
-      if (step > 1 && step != kRebalanced + 1) solver_.ways.insert(done->report.way);
-      for (const std::int64_t id : removed) solver_.at.erase(id);
-      for (std::size_t k = 0; k < count; ++k)
-        solver_.at[done->inserted_ids[k]] = {inserted[3 * k], inserted[3 * k + 1], inserted[3 * k + 2]};
-      for (const LeavingRow& one : done->leaving) solver_.handed_over[one.to].push_back(all[one.row]);
+      solver_.ways.insert(done->report.way);
+      for (const LeavingRow& one : done->leaving) solver_.handed_over[one.to].push_back(ids_[one.row]);
     }
     solver_.all_have_read.arrive_and_wait();
     const std::lock_guard lock(solver_.mutex);
@@ -137,6 +125,7 @@ class ChangingMember {
   Random random_;
   std::optional<Client> client_;
   std::vector<std::int64_t> ids_;
+  std::int64_t new_ = 0;  // particles that it has made
 };
 
 TEST(ChangingMembers, TheSceneIsWhatTheyHave) {
@@ -149,7 +138,7 @@ TEST(ChangingMembers, TheSceneIsWhatTheyHave) {
       ASSERT_TRUE(control->create_scene("team", {.parts = 6, .tolerance = 0.2, .replace = true}).ok());
       Solver solver(members);
       Random random(7);
-      for (std::int64_t id = 0; id < 600; ++id) solver.at[id] = {random.uniform(), random.uniform(), random.uniform()};
+      for (std::int64_t id = 0; id < kAll; ++id) solver.at[id] = {random.uniform(), random.uniform(), random.uniform()};
       std::vector<std::thread> threads;
       for (int k = 0; k < members; ++k)
         threads.emplace_back([&, k] { ChangingMember(solver, k, members, path, service->endpoint()).solve(14); });
@@ -169,7 +158,8 @@ TEST(ChangingMembers, TheSceneIsWhatTheyHave) {
       ASSERT_EQ(solver.keeper.size(), solver.at.size());
       for (std::size_t k = 0; k < id.size(); ++k)
         EXPECT_EQ(solver.keeper[id[k]], cuts::seat_of_part(assigned->find("part")->i4()[k], 6, members)) << id[k];
-      EXPECT_EQ(solver.ways.contains("endpoint"), path == Path::gateway) << "not in other steps";
+      const char* way = path == Path::gateway ? "endpoint" : path == Path::direct ? "sockets" : "shared-memory";
+      EXPECT_EQ(solver.ways, std::set<std::string>{way});
     }
 }
 

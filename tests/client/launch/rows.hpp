@@ -1,42 +1,87 @@
-// A solver's arrays by row, as it keeps them by what the library tells after each step.
+// A solver's arrays by row, and what it believes of them.
 #pragma once
 
 #include <algorithm>
+#include <map>
+#include <tuple>
+#include <utility>
 #include <vector>
 
+#include <gtest/gtest.h>
+
 #include "client/lib/client.hpp"
+#include "common/base/random.hpp"
 
 namespace rcb::client {
 
 struct Rows {
   std::vector<double> xyz, weights;  // no weights: empty
   std::vector<std::int64_t> ids;
-  std::vector<std::int32_t> parts;
+  std::vector<std::int32_t> parts;  // as told last
+  std::int64_t next_id = 0;
 
   Positions positions() const { return Positions::rows(xyz.data(), ids.size(), 3); }
 
-  // As row_moves says; more: the inserted.
-  void follow(const StepResult& result, const std::vector<double>& more, const std::vector<double>& more_weights,
-              std::size_t n) {
-    const Rows old = *this;
-    const bool weighted = !weights.empty() || !more_weights.empty();
-    resize(std::max(n, ids.size()), weighted);
-    for (const RowMove& move : result.row_moves) {
-      ids[move.to] = move.inserted ? result.inserted_ids[move.from] : old.ids[move.from];
-      parts[move.to] = move.inserted ? -1 : old.parts[move.from];
-      if (weighted) weights[move.to] = (move.inserted ? more_weights : old.weights)[move.from];
-      for (std::size_t a = 0; a < 3; ++a) xyz[3 * move.to + a] = (move.inserted ? more : old.xyz)[3 * move.from + a];
+  void add(std::size_t count, Random& random, bool weighted) {
+    for (; count > 0; --count) {
+      ids.push_back(next_id++);
+      for (int a = 0; a < 3; ++a) xyz.push_back(random.uniform());
+      if (weighted) weights.push_back(random.uniform(0.5, 2));
     }
-    resize(n, weighted);
+  }
+  void move(Random& random, double most) {
+    for (double& x : xyz) x += random.uniform(-most, most);
+  }
+  // Some go, up to `most` come, and the rows are in another order. options: gets how many.
+  void change(Random& random, std::size_t most, StepOptions& options) {
+    const bool weighted = !weights.empty();
+    const std::size_t before = ids.size();
+    for (std::size_t row = 0; row < ids.size();) {
+      swap(row, row + random.below(ids.size() - row));
+      if (random.below(25) != 0) {
+        ++row;
+        continue;
+      }
+      swap(row, ids.size() - 1);
+      ids.pop_back();
+      xyz.resize(3 * ids.size());
+      weights.resize(weighted ? ids.size() : 0);
+    }
+    options.removed = before - ids.size();
+    options.inserted = random.below(most + 1);
+    add(options.inserted, random, weighted);
+  }
+  void note(const StepResult& result) {
+    parts.resize(ids.size(), -1);
     for (const PartChange& change : result.changes) parts.at(change.row) = change.part;
+  }
+  // Expects the service to hold this. False: its ranks have lost the particles since the step.
+  bool expect_held(Client& client, const std::string& scene) const {
+    const auto reply = client.call("fetch", "{\"scene\":\"" + scene + "\"}");
+    if (reply.status().code() == Code::not_found) return false;
+    EXPECT_TRUE(reply.ok()) << reply.status().message();
+    if (!reply) return false;
+    const auto id = reply->find("id")->i8();
+    const auto y = reply->find("y")->f8();
+    const auto part = reply->find("part")->i4();
+    const Array* w = reply->find("w");
+    EXPECT_EQ(id.size(), ids.size());
+    EXPECT_EQ(w != nullptr, !weights.empty());
+    if (::testing::Test::HasFailure()) return true;
+    std::map<std::int64_t, std::tuple<double, double, std::int32_t>> there;
+    for (std::size_t i = 0; i < id.size(); ++i) there[id[i]] = {y[i], w == nullptr ? 0 : w->f8()[i], part[i]};
+    std::size_t wrong = 0;
+    for (std::size_t row = 0; row < ids.size(); ++row)
+      wrong += there[ids[row]] == std::tuple(xyz[3 * row + 1], w == nullptr ? 0 : weights[row], parts[row]) ? 0U : 1U;
+    EXPECT_EQ(wrong, 0U);
+    return true;
   }
 
  private:
-  void resize(std::size_t n, bool weighted) {
-    ids.resize(n);
-    if (weighted) weights.resize(n);
-    xyz.resize(3 * n);
-    parts.resize(n, -1);
+  void swap(std::size_t row, std::size_t with) {
+    std::swap(ids[row], ids[with]);
+    std::swap_ranges(&xyz[3 * row], &xyz[3 * row] + 3, &xyz[3 * with]);
+    if (!weights.empty()) std::swap(weights[row], weights[with]);
   }
 };
 
