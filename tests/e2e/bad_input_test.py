@@ -74,7 +74,7 @@ class BadInput(ServiceTest):
         self.refuse("push", "a", self.good, "--step", 0, code="stale_step", says=["0"])
 
     def test_count_differs(self):
-        self.refuse("push", "a", self.save("fewer.npy", self.points[:59]), code="invalid_argument", says=["59", "60"])
+        self.refuse("push", "a", self.save("fewer.npy", self.points[:59]), code="not_conserved", says=["59", "60"])
 
     def test_no_service(self):
         done = run("status", "--json", endpoint="unix:/nonexistent/rcbd.sock")

@@ -17,9 +17,9 @@ class Member(PushClient):
         self.scene, self.member, self.members = scene, member, members
         self.opened = self.ask("scene.open", scene=scene, member=member, members=members, generation=generation)[0]
 
-    def begin(self, step, rows, points, cut=None, **more):
+    def begin(self, number, rows, points, cut=None, **more):
         """Of the push all but the last `cut` bytes; None: the begin alone."""
-        begin, slices = self.frames(self.scene, step, Block(points[rows], rows), **{"deadline_seconds": 20, **more})
+        begin, slices = self.frames(self.scene, number, Block(points[rows], rows), **{"deadline_seconds": 20, **more})
         self.socket.sendall(begin)
         self.slices = slices
         if cut is not None:
@@ -29,6 +29,6 @@ class Member(PushClient):
         for link, data in self.slices:
             link.sendall(data)
 
-    def start(self, step, rows, points, **more):
-        self.begin(step, rows, points, **more)
+    def start(self, number, rows, points, **more):
+        self.begin(number, rows, points, **more)
         self.rest()

@@ -52,8 +52,8 @@ class Members(Actor):
             check_scene(self, self.control, self.scene, self.model, self.told)
             self.count("checks")
 
-    def begin_push(self, one, ids, deadline_seconds=None, **more):
-        one.begin(self.number, ids, self.model.points, deadline_seconds=deadline_seconds or self.world.answer_seconds,
+    def begin_push(self, one, rows, deadline_seconds=None, **more):
+        one.begin(self.number, rows, self.model.points, deadline_seconds=deadline_seconds or self.world.answer_seconds,
                   each=200, **{"cuts_known": self.told.known, "way": str(self.rng.choice(WAYS)), **more})
 
     def push(self):
