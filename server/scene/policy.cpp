@@ -107,12 +107,13 @@ double CostAccount::repartition_seconds() const {
 }
 
 wire::Json CostAccount::to_json() const {
-  using wire::or_null;
-  return {{"best", best_imbalance_},
-          {"lost", lost_seconds_},
-          {"since", or_null(since_)},
-          {"first", or_null(first_seconds_)},
-          {"seconds", std::vector<double>(seconds_.begin(), seconds_.end())}};
+  wire::Json json = wire::Json::object();
+  json["best"] = best_imbalance_;
+  json["lost"] = lost_seconds_;
+  json["since"] = wire::or_null(since_);
+  json["first"] = wire::or_null(first_seconds_);
+  json["seconds"] = std::vector<double>(seconds_.begin(), seconds_.end());
+  return json;
 }
 
 double finite_from(const wire::Json& json) {
