@@ -19,7 +19,6 @@ target_link_libraries(host PRIVATE rcb::client_lib)
 MAIN = """
 #define CHECK(condition) static_assert(condition)
 #include "client/lib/client.hpp"
-#include "client/lib/member.hpp"
 CHECK(sizeof(rcb::client::ConnectOptions) > 0);
 #ifdef NDEBUG
 #error "the asserts of this project are gone"
