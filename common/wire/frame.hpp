@@ -1,4 +1,4 @@
-// Frames of protocol version 1 (PROTOCOL.md): encodes and decodes headers. Independent of sockets.
+// Frames of protocol version 2 (PROTOCOL.md): encodes and decodes headers. Independent of sockets.
 //
 // Invariants
 // 1. Any bytes may be decoded: a breach of the protocol is returned as protocol_error and never crashes.
@@ -19,7 +19,7 @@
 namespace rcb::wire {
 
 inline constexpr std::size_t kHeaderBytes = 40;
-inline constexpr std::uint16_t kProtocolVersion = 1;
+inline constexpr std::uint16_t kProtocolVersion = 2;
 inline constexpr std::uint32_t kFlagBulkChecksum = 1;
 
 enum class FrameType : std::uint16_t {

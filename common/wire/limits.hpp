@@ -1,4 +1,4 @@
-// Every limit of protocol version 1 (PROTOCOL.md lists the same).
+// Every limit of protocol version 2 (PROTOCOL.md lists the same).
 #pragma once
 
 #include <cstddef>

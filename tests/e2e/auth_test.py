@@ -10,7 +10,7 @@ from support import *
 
 
 def welcome(authentication, **more):
-    return frame(WELCOME, 0, {"server": "rcbd", "protocol": 1, "authentication": authentication,
+    return frame(WELCOME, 0, {"server": "rcbd", "protocol": 2, "authentication": authentication,
                               "limits": {"hello_seconds": 5}, **more})
 
 
@@ -224,7 +224,7 @@ class Auth(Refusals, unittest.TestCase):
         with Service(1) as service:
             path = service.endpoint
             with Client(path, hello=False) as client:
-                client.socket.sendall(frame(HELLO, 1, {"protocol": 1, "client": "a\nFORGED 1", "session": "0" * 16}))
+                client.socket.sendall(frame(HELLO, 1, {"protocol": 2, "client": "a\nFORGED 1", "session": "0" * 16}))
                 client.number = 1
                 self.refused("protocol_error", client.answer)
             with Client(path) as client:

@@ -16,7 +16,7 @@ class Client:
         self.sock.connect(path)
         self.stream, self.session, self.number = self.sock.makefile("rb"), f"{random.getrandbits(64):016x}", 0
         self.receive()  # welcome
-        self.send(2, {"protocol": 1, "client": "counting client", "session": self.session})
+        self.send(2, {"protocol": 2, "client": "counting client", "session": self.session})
         self.receive()
 
     def send(self, kind, message, arrays={}):
@@ -24,7 +24,7 @@ class Client:
         if arrays:
             message["arrays"] = [{"name": k, "dtype": dtypes[v.dtype.kind], "shape": v.shape} for k, v in arrays.items()]
         text, bulk = json.dumps(message).encode(), b"".join(v.tobytes() for v in arrays.values())
-        head = struct.pack("<4sHHIIQQ", b"RCBD", 1, kind, 0, len(text), self.number or 1, len(bulk))
+        head = struct.pack("<4sHHIIQQ", b"RCBD", 2, kind, 0, len(text), self.number or 1, len(bulk))
         self.sock.sendall(head + struct.pack("<Q", xxh(head + text, len(head) + len(text))) + text + bulk)
 
     def receive(self):

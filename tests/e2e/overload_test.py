@@ -105,7 +105,7 @@ class Overload(ServiceTest):
     def test_large_requests_hold_up_nobody(self):
         sizes = b",".join([b"1"] * (1 << 20))
         text = b'{"command":"scene.create","scene":"one","part_sizes":[' + sizes + b'],"deadline_seconds":300}'
-        head = struct.pack("<4sHHIIQQ", b"RCBD", 1, REQUEST, 0, len(text), 9, 0)
+        head = struct.pack("<4sHHIIQQ", b"RCBD", 2, REQUEST, 0, len(text), 9, 0)
         message = head + struct.pack("<Q", xxh3(head + text)) + text
         large = [Client(self.address, timeout=120) for _ in range(12)]
         senders = [threading.Thread(target=client.socket.sendall, args=(message,)) for client in large]

@@ -25,7 +25,7 @@ def xxh3(data):
 
 def frame(kind, request, document, bulk=b"", flags=0):
     text = json.dumps(document).encode()
-    head = struct.pack("<4sHHIIQQ", b"RCBD", 1, kind, flags, len(text), request, len(bulk))
+    head = struct.pack("<4sHHIIQQ", b"RCBD", 2, kind, flags, len(text), request, len(bulk))
     tail = struct.pack("<Q", xxh3(bulk)) if flags & 1 else b""
     return head + struct.pack("<Q", xxh3(head + text)) + text + bulk + tail
 
@@ -127,7 +127,7 @@ class Client:
             raise
 
     def say_hello(self):
-        document = {"protocol": 1, "client": "e2e", "session": self.session}
+        document = {"protocol": 2, "client": "e2e", "session": self.session}
         tcp = self.socket.family != socket.AF_UNIX
         if tcp:
             known = self.token, self.listener, self.welcome["nonce"], os.urandom(32).hex(), self.session, self.certificate
@@ -150,7 +150,7 @@ class Client:
     def receive(self):
         head = self.exactly(40)
         magic, version, kind, flags, json_bytes, request, bulk_bytes, checksum = struct.unpack("<4sHHIIQQQ", head)
-        assert (magic, version) == (b"RCBD", 1)
+        assert (magic, version) == (b"RCBD", 2)
         text = self.exactly(json_bytes)
         assert checksum == xxh3(head[:32] + text)
         bulk = self.exactly(bulk_bytes)

@@ -146,7 +146,7 @@ class TlsTest(Refusals, MachinesTest):
 
         def impostor(self, made):  # that says yes to everything
             with of_another(made) as made:
-                made.sendall(frame(1, 0, {"server": "rcbd", "protocol": 1, "authentication": "hmac-sha256",
+                made.sendall(frame(1, 0, {"server": "rcbd", "protocol": 2, "authentication": "hmac-sha256",
                                           "nonce": "5" * 64}))
                 while data := made.recv(65536):
                     self.heard += data
@@ -234,7 +234,7 @@ class TlsTest(Refusals, MachinesTest):
                     silent[-1].sendall(words)
                 for words in (b"GET / HTTP/1.0\r\n\r\n", rng.bytes(5000), b"\x16" + rng.bytes(5000), b"\x15" * 5000,
                               b"\x16\x03\x01\x40\x00" + rng.bytes(16384), client_hello + rng.bytes(5000),
-                              frame(2, 1, {"protocol": 1})):
+                              frame(2, 1, {"protocol": 2})):
                     with self.connection("b", place) as made, contextlib.suppress(ConnectionError):
                         made.sendall(words)
                         while made.recv(65536):
@@ -258,7 +258,7 @@ class TlsTest(Refusals, MachinesTest):
                     RCBD_PATH="direct", check=True)
         for place in places:
             with self.connection("b", place) as plain:
-                plain.sendall(frame(2, 1, {"protocol": 1, "client": "old", "session": "0" * 16}))
+                plain.sendall(frame(2, 1, {"protocol": 2, "client": "old", "session": "0" * 16}))
                 answer = plain.recv(65536)
                 self.assertIn(b"protocol_error", answer)
                 self.assertIn(b"the client doesn't speak it", answer)

@@ -80,7 +80,7 @@ std::vector<Array> arrays_of(const Json& json, const std::string& bulk) {
 
 std::string head(FrameType type, std::uint64_t request, const std::string& json, std::uint64_t bulk_bytes,
                  bool summed) {
-  const std::string header = "RCBD" + little_endian(1, 2) + little_endian(static_cast<std::uint16_t>(type), 2) +
+  const std::string header = "RCBD" + little_endian(2, 2) + little_endian(static_cast<std::uint16_t>(type), 2) +
                              little_endian(summed ? 1 : 0, 4) + little_endian(json.size(), 4) +
                              little_endian(request, 8) + little_endian(bulk_bytes, 8);
   return header + little_endian(xxh3(header + json), 8) + json;
@@ -99,7 +99,7 @@ std::optional<Frame> receive(const std::function<bool(char* to, std::size_t size
   std::string header(kHeaderBytes, '\0');
   if (!read(header.data(), header.size())) return std::nullopt;
   const std::uint64_t type = number_at(header, 6, 2), flags = number_at(header, 8, 4);
-  need(header.starts_with("RCBD") && number_at(header, 4, 2) == 1 && type >= 1 && type <= 7 && flags <= 1,
+  need(header.starts_with("RCBD") && number_at(header, 4, 2) == 2 && type >= 1 && type <= 7 && flags <= 1,
        "its header");
   std::string text(number_at(header, 12, 4), '\0');
   if (!read(text.data(), text.size())) return std::nullopt;

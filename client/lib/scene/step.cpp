@@ -196,7 +196,10 @@ Result<std::optional<cuts::Cuts>> Scene::State::complete(const Frame& frame, con
                                                          const StepReport& report, const StepRequest& ask,
                                                          const Retry& retry) {
   auto after = cuts_.after_step(frame, json, report.epoch);
-  if (!after || !(ask.wants() || seated() || when_needed_)) return after;
+  const bool needed = ask.wants() || seated() || when_needed_;
+  // Else the next step, which sorts its rows by part, could not tell how many have drifted.
+  const bool useful = way_ != Way::held && after && after->has_value();
+  if (!after || !(needed || useful)) return after;
   if (!after->has_value()) {
     auto asked = SceneCuts::ask(session(), name_, retry);
     if (!asked) return asked.status();

@@ -86,7 +86,7 @@ class Peer {
   // nonce: where a proof of the token is asked for.
   static protocol::Json welcome(const std::string& nonce = {}) {
     protocol::Json json{{"server", "rcbd"},
-                        {"protocol", 1},
+                        {"protocol", 2},
                         {"authentication", nonce.empty() ? "none" : "hmac-sha256"},
                         {"limits", protocol::Json::object()}};
     if (!nonce.empty()) json["nonce"] = nonce;

@@ -16,16 +16,26 @@ struct Promised {
 };
 
 constexpr std::array kPromised{
-    Promised{0, "ok", 0},           Promised{1, "invalid_argument", 1},
-    Promised{2, "not_found", 1},    Promised{3, "already_exists", 1},
-    Promised{4, "busy", 1},         Promised{5, "stale_plan", 1},
-    Promised{6, "stale_step", 1},   Promised{7, "base_lost", 1},
-    Promised{8, "not_finite", 1},   Promised{9, "protocol_error", 1},
-    Promised{10, "too_large", 1},   Promised{11, "not_authorised", 4},
-    Promised{12, "unavailable", 3}, Promised{13, "deadline_exceeded", 5},
-    Promised{14, "aborted", 1},     Promised{15, "io_error", 1},
-    Promised{16, "unsupported", 1}, Promised{17, "internal", 1},
-    Promised{18, "usage", 2},       Promised{19, "interrupted", 130},
+    Promised{0, "ok", 0},
+    Promised{1, "invalid_argument", 1},
+    Promised{2, "not_found", 1},
+    Promised{3, "already_exists", 1},
+    Promised{4, "busy", 1},
+    Promised{6, "stale_step", 1},
+    Promised{8, "not_finite", 1},
+    Promised{9, "protocol_error", 1},
+    Promised{10, "too_large", 1},
+    Promised{11, "not_authorised", 4},
+    Promised{12, "unavailable", 3},
+    Promised{13, "deadline_exceeded", 5},
+    Promised{14, "aborted", 1},
+    Promised{15, "io_error", 1},
+    Promised{16, "unsupported", 1},
+    Promised{17, "internal", 1},
+    Promised{18, "usage", 2},
+    Promised{19, "interrupted", 130},
+    Promised{20, "not_conserved", 1},
+    Promised{21, "duplicate_id", 1},
 };
 
 TEST(Status, NamesNumbersAndExitCodesAreThePromisedOnes) {

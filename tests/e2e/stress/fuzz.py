@@ -211,7 +211,7 @@ class Fuzz(Actor):
             b'{"command":"status","x":"\\ud800"}', json.dumps({"command": "status", "x": "\u2028"}).encode("utf-16")]))
 
     def send_text(self, text):
-        head = struct.pack("<4sHHIIQQ", b"RCBD", 1, REQUEST, 0, len(text), 3, 0)
+        head = struct.pack("<4sHHIIQQ", b"RCBD", 2, REQUEST, 0, len(text), 3, 0)
         with self.opened() as client:
             self.send(client.socket, head + struct.pack("<Q", xxh3(head + text)) + text)
             client.number = 3

@@ -38,9 +38,9 @@ FakeService::Script answering(const std::function<void(Peer&, const Received&)>&
 
 // The page's own example, so that the fake service can be believed.
 TEST(Protocol, AFrameByteByByte) {
-  const std::string header("RCBD\1\0\3\0\0\0\0\0\x14\0\0\0\1\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0", 32);
+  const std::string header("RCBD\2\0\3\0\0\0\0\0\x14\0\0\0\1\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0", 32);
   EXPECT_EQ(protocol::frame(protocol::FrameType::request, 1, {{"command", "status"}}),
-            header + "\x72\xb0\xbb\xbb\x41\x20\xf0\xad" + R"({"command":"status"})");
+            header + "\xae\xc0\x32\xe0\x05\x78\xf7\x45" + R"({"command":"status"})");
 }
 
 TEST(Connect, SaysHelloAndGoodbye) {
@@ -64,7 +64,7 @@ TEST(Connect, SaysHelloAndGoodbye) {
       EXPECT_EQ(client->endpoint(), service.endpoint());
     }
     service.stop();
-    EXPECT_EQ(hello["protocol"], 1);
+    EXPECT_EQ(hello["protocol"], 2);
     EXPECT_EQ(hello["client"], "test 1");
     EXPECT_TRUE(protocol::is_hex64(hello["session"]));
     EXPECT_FALSE(hello.contains("token"));
@@ -253,7 +253,7 @@ TEST(Connect, RefusalsAreTold) {
       return;
     }
     protocol::Json welcome = Peer::welcome();
-    welcome["protocol"] = 2;
+    welcome["protocol"] = 1;
     peer.send(protocol::FrameType::welcome, 0, welcome);
     peer.receive();
   });

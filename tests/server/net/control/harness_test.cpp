@@ -295,7 +295,7 @@ Received Client::hello(const std::string& name, const std::string& session, cons
                        const std::string& listener) {
   const Received welcome = receive();
   EXPECT_EQ(welcome.type, FrameType::welcome);
-  Json json{{"protocol", 1}, {"client", name}, {"session", session}};
+  Json json{{"protocol", 2}, {"client", name}, {"session", session}};
   if (!token.empty()) {
     const auth::Opening opening{listener, welcome.json.value("nonce", ""), auth::random_nonce(), session};
     json["nonce"] = opening.client_nonce;

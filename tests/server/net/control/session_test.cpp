@@ -35,7 +35,7 @@ TEST(Session, SaysWelcomeAndAnswersHello) {
   EXPECT_EQ(welcome.request, 0U);
   EXPECT_EQ(welcome.json["authentication"], "none");
   EXPECT_EQ(welcome.json.size(), 4U) << "before hello nothing is told that hello doesn't need: " << welcome.json;
-  client.send(FrameType::hello, {{"protocol", 1}, {"client", "c"}, {"session", kAnna}, {"new", "field"}});
+  client.send(FrameType::hello, {{"protocol", 2}, {"client", "c"}, {"session", kAnna}, {"new", "field"}});
   const Received reply = client.receive();
   EXPECT_EQ(reply.type, FrameType::reply);
   EXPECT_EQ(reply.json["ranks"], 4);
@@ -49,9 +49,9 @@ TEST(Session, NothingIsUnderstoodBeforeHello) {
   Client client = service.connect();
   client.request("status");
   EXPECT_EQ(last_failure(client), "protocol_error");
-  for (const Json& hello : {Json{{"protocol", 2}, {"client", "c"}, {"session", kAnna}},
-                            Json{{"protocol", 1}, {"client", "c"}, {"session", "zz"}},
-                            Json{{"protocol", 1}, {"client", 7}, {"session", kAnna}}, Json::object()}) {
+  for (const Json& hello : {Json{{"protocol", 1}, {"client", "c"}, {"session", kAnna}},
+                            Json{{"protocol", 2}, {"client", "c"}, {"session", "zz"}},
+                            Json{{"protocol", 2}, {"client", 7}, {"session", kAnna}}, Json::object()}) {
     Client other = service.connect();
     other.send(FrameType::hello, hello);
     EXPECT_EQ(last_failure(other), "protocol_error") << hello;
@@ -62,10 +62,10 @@ TEST(Session, NothingIsUnderstoodBeforeHello) {
 TEST(Session, LimitsBeforeHelloAreSmall) {
   TestService service([](ControlOptions& options) { options.hello_seconds = 0.3; });
   Client large = service.connect();
-  large.send(FrameType::hello, {{"protocol", 1}, {"client", std::string(5000, 'c')}, {"session", kAnna}});
+  large.send(FrameType::hello, {{"protocol", 2}, {"client", std::string(5000, 'c')}, {"session", kAnna}});
   EXPECT_EQ(last_failure(large), "too_large");
   Client bulky = service.connect();
-  bulky.send(FrameType::hello, {{"protocol", 1}, {"client", "c"}, {"session", kAnna}}, "bulk");
+  bulky.send(FrameType::hello, {{"protocol", 2}, {"client", "c"}, {"session", kAnna}}, "bulk");
   EXPECT_EQ(last_failure(bulky), "too_large");
   Client silent = service.connect();
   EXPECT_EQ(last_failure(silent), "protocol_error");

@@ -19,7 +19,7 @@ using wire::Json;
 const std::string kToken(64, 'a');  // TestService::defaults()
 
 Json hello_json(const Opening& opening, const std::string& proof) {
-  return {{"protocol", 1},
+  return {{"protocol", 2},
           {"client", "c"},
           {"session", opening.session},
           {"nonce", opening.client_nonce},
@@ -73,7 +73,7 @@ TEST(Hello, WhatProvesNothingIsRefused) {
   };
   const std::vector<std::function<Json(const Opening&)>> hellos{
       [](const Opening&) {
-        return Json{{"protocol", 1}, {"client", "c"}, {"session", kAnna}};
+        return Json{{"protocol", 2}, {"client", "c"}, {"session", kAnna}};
       },
       [&](const Opening& o) { return hello_json(o, proof_with(std::string(64, 'b'))(o)); },
       [&](const Opening& o) { return hello_json(o, proof_with(kToken, Role::service)(o)); },  // sent back
@@ -118,7 +118,7 @@ TEST(Hello, ATokenIsNeverSaid) {
   for (const bool tcp : {true, false}) {
     Client client = tcp ? Client::on_tcp(service.tcp()) : service.connect();
     client.receive();
-    client.send(FrameType::hello, {{"protocol", 1}, {"client", "c"}, {"session", kAnna}, {"token", kToken}});
+    client.send(FrameType::hello, {{"protocol", 2}, {"client", "c"}, {"session", kAnna}, {"token", kToken}});
     const Received refused = client.receive();
     EXPECT_EQ(refused.code(), "not_authorised");
     EXPECT_NE(refused.message().find("never said"), std::string::npos) << refused.message();
