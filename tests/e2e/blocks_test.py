@@ -163,7 +163,8 @@ class Blocks(Refusals, ServiceTest):
                     client = self.pusher(way)
             self.assertIn("4", self.refused("stale_step", self.pusher(way).push_block, scene, 4, Block(points, ids)))
             client.push_block(scene, 5, Block(points[2:], ids[2:]), removed=2)
-            self.assertTrue(client.push_block(scene, 5, Block(points, ids))[0]["repeated"])
+            for more in ({}, {"counts": [-1] * 3}, {"inserted": 7}, {"n": 9}):  # whatever it says and brings
+                self.assertTrue(client.push_block(scene, 5, Block(points, ids), **more)[0]["repeated"])
             self.check(scene, Block(points[2:], ids[2:]))
 
     def test_a_client_that_dies_leaves_the_previous_step(self):

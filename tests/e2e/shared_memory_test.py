@@ -177,6 +177,8 @@ class SharedMemory(Refusals, ServiceTest):
             twice = np.arange(n)
             twice[5] = 6  # so that a particle would be there twice, and another would not
             self.refused("not_conserved", client.push_block, "listed", 9, block, deal=np.array_split(twice, 3))
+            client.ask("scene.create", scene="twice", parts=7)
+            self.refused("duplicate_id", client.push_block, "twice", 0, Block(points), deal=np.array_split(twice, 3))
             # Rows of a rank that reads the memory are dropped where they come; those of another are missed at the deadline.
             self.refused("deadline_exceeded", self.push_without, client, block, deadline_seconds=1, by_socket=[1, 2])
             self.assertEqual(client.ask("scene.show", scene="listed")[0], before)

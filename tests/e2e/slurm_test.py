@@ -91,7 +91,7 @@ class SlurmTest(MachinesTest):
                               env=os.environ | {"RCBD_ENDPOINT": alone.endpoint}, capture_output=True, text=True, timeout=60)
         expected = json.loads(done.stdout)
         for report, other in zip(got["reports"], expected["reports"], strict=True):
-            for field in ("error", "repartitioned", "drifted", "moved", "n"):
+            for field in ("error", "repartitioned", "moved", "n"):  # who pushes over sockets counts no drift
                 self.assertEqual(report[field], other[field], field)
         # scancel ends it cleanly.
         self.hosts.slurm("scancel", service)
