@@ -116,6 +116,7 @@ Telling tell(Teller teller, const Story& story, std::size_t step, int ranks, Ran
   if (teller == Teller::direct || teller == Teller::listed || (teller == Teller::in_order && random.below(2) == 0))
     to_random_ranks(block, ranks, random);
   if (teller == Teller::in_order) std::ranges::sort(block.ranks);
+  if (!telling.ids) block.by_socket.clear();
   telling.blocks = {std::move(block)};
   return telling;
 }
