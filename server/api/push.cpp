@@ -41,6 +41,9 @@ Status read_sockets(wire::FieldReader& fields, int ranks, Push& push) {
   }
   if (push.counts.empty() && !push.by_socket.empty())
     return {Code::invalid_argument, "field 'sockets': the push must say in 'counts' how many rows go to each rank"};
+  if (!push.ids && !push.by_socket.empty())
+    return {Code::invalid_argument, "field 'sockets': rows without ids, whose numbers are in memory alone",
+            "give the id of each row"};
   return fields.status();
 }
 

@@ -74,7 +74,8 @@ struct Block {
   int member = 0;
   std::vector<std::size_t> rows;  // of the particles
   Path path = Path::gateway;
-  std::vector<int> ranks;  // by row, to whom it goes; empty: an even share to each
+  std::vector<int> ranks;      // by row, to whom it goes; empty: an even share to each
+  std::vector<int> by_socket;  // of Path::listed: ranks that get their rows over sockets all the same
   bool is_float32 = false;
 };
 
@@ -128,8 +129,8 @@ class Blocks {
     const auto rank = static_cast<std::size_t>(comm_.rank());
     const std::uint64_t first = std::accumulate(counts.begin(), counts.begin() + comm_.rank(), std::uint64_t{0});
     if (block.path != Path::held) order["counts"] = counts;
-    if (block.path == Path::direct) {
-      order.update({{"path", "direct"}, {"number", 1}});
+    order.update({{"path", block.path == Path::direct ? "direct" : "shared"}, {"number", 1}});
+    if (block.path == Path::direct || std::ranges::count(block.by_socket, comm_.rank()) > 0) {
       std::vector<std::size_t> rows;
       for (const std::size_t k : of_rank[rank]) rows.push_back(block.rows[k]);
       if (rows.empty()) return order;
@@ -137,13 +138,7 @@ class Blocks {
       slices.back().first_row = first;
       return order;
     }
-    order.update({{"path", "shared"}, {"session", "s"}, {"memory", Json::array()}});
     PushSlice slice = shared(block, of_rank);
-    for (const api::SharedColumn& column : slice.shared)
-      order["memory"].push_back({{"name", column.where.name},
-                                 {"memory", column.where.memory},
-                                 {"offset", column.where.offset},
-                                 {"stride", column.where.stride}});
     slice.count = block.path == Path::listed ? counts[rank] : 0;
     slice.first_row = block.path == Path::listed ? first : 0;
     slices.push_back(std::move(slice));

@@ -76,6 +76,7 @@ inline void to_random_ranks(Block& block, int ranks, Random& random) {
   const auto any = [&] { return static_cast<int>(random.below(static_cast<std::uint64_t>(ranks))); };
   const int one = any();
   for (std::size_t k = 0; k < block.rows.size(); ++k) block.ranks.push_back(all_to_one ? one : any());
+  if (block.path == Path::listed) block.by_socket = {one};
 }
 
 // All rows by one client, where it may choose to any ranks.
@@ -83,6 +84,7 @@ inline std::vector<Block> dealt(const comm::Comm& comm, const Particles& particl
   Random random(seed);
   Block block = all_rows(particles, path);
   if (path == Path::direct || path == Path::listed) to_random_ranks(block, comm.size(), random);
+  if (particles.ids.empty()) block.by_socket.clear();
   if (path == Path::direct && particles.ids.empty()) std::ranges::sort(block.ranks);  // rows are their ids
   return {block};
 }
