@@ -21,7 +21,7 @@ class Protocol(Refusals, ServiceTest):
         walk = rng.random((6, 200, 3)).cumsum(axis=0)
         expected = judge.reports(walk, 5, 3, 0.1)
         with self.client() as client:
-            self.assertEqual(client.welcome["protocol"], 1)
+            self.assertEqual(client.welcome["protocol"], 2)
             self.assertEqual(client.hello["ranks"], 3)
             client.ask("scene.create", scene="p", parts=5)
             known = {}
