@@ -44,10 +44,15 @@ Status MemberGroups::count(CountBegin begin) {
   MemberCount& counting = *group->counting;
   begin.session = scene::session_key(begin.record->session);
   counting.tally.put(*seat, std::move(*begin.record));
-  counting.end = std::min(counting.end, begin.end);
-  counting.timer.cancel();  // so that the deadline is heeded
   begin.record.reset();
-  counting.waiting[*seat] = std::move(begin);
+  const auto older = std::exchange(counting.waiting[*seat], std::move(begin));
+  if (older)
+    older->connection->send(FrameType::failure, older->request,
+                            wire::failure_json({Code::aborted, "a newer count by the same member replaced it"}));
+  counting.end = TimePoint::max();  // that of a count that was replaced counts no more
+  for (const auto& one : counting.waiting)
+    if (one) counting.end = std::min(counting.end, one->end);
+  counting.timer.cancel();  // so that the deadline is heeded
   if (counting.tally.whole()) decide(*group, *ledger);
   return {};
 }

@@ -164,7 +164,8 @@ Status Session::count_as_member(Request& request, const PushId& id) {
   CountBegin begin{id.scene, id.step, connection_, request.number, request.end, {}, {}};
   if (api::given(request.json, "fault")) {
     begin.fault = wire::status_from_failure({{"failure", request.json["fault"]}});
-    if (begin.fault.ok()) begin.fault = {Code::invalid_argument, "field 'fault': expected {\"code\",\"message\"}"};
+    if (begin.fault.code() == Code::internal || begin.fault.code() == Code::protocol_error)  // no code that is known
+      begin.fault = {Code::invalid_argument, "field 'fault': expected {\"code\",\"message\"}"};
   } else {
     auto record = record_of(request, id);
     if (!record.ok()) return record.status();

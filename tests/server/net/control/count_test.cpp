@@ -1,8 +1,10 @@
 // Steps that are counts: decided and answered on rank 0 with no order to the engine; and questions about positions,
 // which wait for the step that brings them.
+#include <chrono>
 #include <functional>
 #include <limits>
 #include <map>
+#include <thread>
 #include <tuple>
 
 #include <gtest/gtest.h>
@@ -356,6 +358,52 @@ TEST_F(Count, WhatContradictsItselfEndsTheConnection) {
   EXPECT_EQ(bert_.call("scene.show", kScene).json["step"], 0);
   anna_.send_bytes(frame(FrameType::request, 9, text, bulk, true));
   expect_committed(anna_.receive_but_notices(), 1);
+}
+
+// Anna and bert have a seat each, with five particles.
+class SeatCount : public Count {
+ protected:
+  SeatCount() {
+    push(anna_, kAnna, 0);
+    anna_.call("scene.open", {{"scene", "s"}, {"member", 0}, {"members", 2}});
+    bert_.call("scene.open", {{"scene", "s"}, {"member", 1}, {"members", 2}});
+  }
+  std::uint64_t half(Client& client, const Json& more = Json::object()) {
+    Record one = record(1, {{"n", 5}, {"id_sum", "0000000000000007"}, {"drifted", nullptr}});
+    one.json.update(more);
+    one.json["arrays"] = one.arrays();
+    one.counts = {1, 1, 1, 1};
+    ++one.counts[&client == &anna_ ? 1 : 3];
+    return client.send(FrameType::request, one.json, one.bulk());
+  }
+};
+
+TEST_F(SeatCount, ASecondOneOfASeatReplacesTheFirstWhichIsAnswered) {
+  const std::uint64_t older = half(anna_, {{"deadline_seconds", 0.3}});
+  const std::uint64_t newer = half(anna_);
+  const Received replaced = anna_.receive_but_notices();
+  EXPECT_EQ(replaced.request, older);
+  EXPECT_EQ(replaced.code(), "aborted");
+  std::this_thread::sleep_for(std::chrono::milliseconds(400));  // the older one's deadline is nobody's
+  half(bert_);
+  const Received answer = anna_.receive_but_notices();
+  EXPECT_EQ(answer.request, newer);
+  expect_committed(answer, 1);
+  expect_committed(bert_.receive_but_notices(), 1);
+}
+
+// What one seat says is told to all: a word that means nothing isn't a bug of the service.
+TEST_F(SeatCount, AFaultHasACodeThatIsKnown) {
+  for (const Json& fault : {Json::object(), Json{{"code", "internal"}, {"message", "x"}}, Json{{"code", 7}}, Json(7)}) {
+    half(anna_);
+    anna_.call("scene.list");
+    half(bert_, {{"fault", fault}});
+    for (Client* one : {&anna_, &bert_}) {
+      const Received told = one->receive_but_notices();
+      EXPECT_EQ(told.code(), "invalid_argument") << fault << told.json;
+      EXPECT_NE(told.message().find("field 'fault'"), std::string::npos) << told.message();
+    }
+  }
 }
 
 // Anna has the scene open, and steps it by counts; bert asks.
