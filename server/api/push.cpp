@@ -125,6 +125,7 @@ Result<Push> read_push(const wire::Json& request, PushId id, int ranks) {
   if (fields.has("drifted")) push.drifted = fields.particles("drifted");
   if (fields.has("step_seconds"))
     push.step_seconds = fields.number_or("step_seconds", 0, std::numeric_limits<double>::max(), 0);
+  if (push.drifted > push.n) fields.fail({Code::invalid_argument, "field 'drifted': more than the rows of the push"});
   if (!fields.ok()) return fields.status();
   if (Status status = read_cuts_known(request, push); !status.ok()) return status;
   if (Status status = read_counts(fields, ranks, push); !status.ok()) return status;

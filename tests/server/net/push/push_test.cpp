@@ -206,6 +206,7 @@ TEST_F(Push, BeginIsHeldAgainstTheScene) {
       {{{"path", "any"}}, "invalid_argument"},
       {{{"path", "direct"}, {"counts", {4, 0, 0, 0}}}, "unsupported"},  // not at this endpoint
       {{{"weights", true}}, "invalid_argument"},
+      {{{"drifted", 5}}, "invalid_argument"},  // of four rows
       {{{"incarnation", "00000000000000ab"}}, "not_found"},
       {{{"incarnation", "x"}}, "invalid_argument"},
       {{{"step", -1}}, "invalid_argument"},
