@@ -44,12 +44,13 @@ def actor_classes():
     import faults
     import fuzz
     import members
+    import mob
     import pushers
     import queries
     import scenes
     import solvers
     return {
-        "ways": pushers.Ways, "quitters": pushers.Quitters, "liars": pushers.Liars, "members": members.Members,
+        "ways": pushers.Ways, "quitters": pushers.Quitters, "liars": pushers.Liars, "members": members.Members, "mob": mob.Mob,
         "spheres": solvers.TwoSpheres, "slope": solvers.SlopeMembers,
         "readers": queries.Readers, "pipelined": queries.Pipelined, "flood": queries.Flood, "rude": queries.Rude,
         "costly": queries.Costly, "crowd": queries.Crowd, "commands": commands.Commands, "fuzz": fuzz.Fuzz,
