@@ -1,7 +1,5 @@
 #include "common/particles/block_ranges.hpp"
 
-#include <algorithm>
-
 // Vectorised by hand: the compiler doesn't vectorise the plain loop.
 #if defined(__x86_64__)
 #include <immintrin.h>
@@ -58,15 +56,6 @@ Range range_of(std::span<const double> values) {
   if (has_avx2()) return range_of_avx2(values.data(), values.size());
 #endif
   return range_of_each(values.data(), values.size(), {});
-}
-
-void BlockRanges::extend(std::size_t axis, std::size_t first, std::span<const double> values) {
-  while (!values.empty()) {
-    const std::size_t size = std::min(kBlock - first % kBlock, values.size());
-    of[axis][first / kBlock].extend(range_of(values.first(size)));
-    first += size;
-    values = values.subspan(size);
-  }
 }
 
 }  // namespace rcb::particles

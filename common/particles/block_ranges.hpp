@@ -35,19 +35,6 @@ struct BlockRanges {
   std::array<Buffer<Range>, geometry::kDimsMax> of;
 
   bool known() const { return !of[0].empty(); }
-
-  // Empty ranges for `count` particles; false if there is no memory for them.
-  [[nodiscard]] bool try_reset(int dims, std::size_t count) {
-    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) {
-      if (!of[a].try_reserve(blocks_of(count))) return false;
-      of[a].resize(blocks_of(count));
-      for (Range& range : of[a]) range = {};
-    }
-    return true;
-  }
-
-  // Adds the positions of the particles from `first` on.
-  void extend(std::size_t axis, std::size_t first, std::span<const double> values);
 };
 
 }  // namespace rcb::particles

@@ -22,10 +22,6 @@ namespace {
 constexpr std::uint64_t kTellBytes = std::uint64_t{64} << 20U;   // between two reports to the coordinator
 constexpr std::uint64_t kReadBytes = std::uint64_t{512} << 10U;  // of one read
 
-std::span<const double> as_doubles(std::span<const std::byte> bytes) {
-  return {reinterpret_cast<const double*>(bytes.data()), bytes.size() / sizeof(double)};
-}
-
 }  // namespace
 
 struct DataPort::State : std::enable_shared_from_this<State> {
@@ -200,8 +196,6 @@ struct DataPort::State : std::enable_shared_from_this<State> {
         if (!status.ok()) co_return status;
         if (checked) checksum.add(piece);
         if (single) widen(piece, place);
-        // Now, while they are in the cache; the engine needn't read most positions then.
-        if (axis && push->ranges.known()) push->ranges.extend(a, at / sizeof(double), as_doubles(place));
         if (!push->over) push->arrays[a] = std::move(array);
         slices.tell(*push, kTellBytes);
         at += size;

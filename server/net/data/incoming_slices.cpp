@@ -71,7 +71,6 @@ void IncomingSlices::open(PushTicket ticket) {
     if (fits) buffer.resize(terms.n * 8);
     push->arrays.push_back(std::move(buffer));
   }
-  fits = fits && push->ranges.try_reset(terms.dims, terms.n);
   ended_.erase(terms.id);  // the client repeats an attempt that had ended
   pushes_[push->ticket.number] = push;
   if (!fits)
@@ -97,7 +96,7 @@ std::optional<Slice> IncomingSlices::take(std::uint64_t number) {
   const PushTerms& terms = push->ticket.terms;
   remember_ended(terms.id);
   if (push->have != terms.n) return std::nullopt;
-  Slice slice{.count = terms.n, .ranges = std::move(push->ranges)};
+  Slice slice{.count = terms.n};
   for (std::size_t a = 0; a < push->arrays.size(); ++a) {
     const bool axis = a < static_cast<std::size_t>(terms.dims);
     const bool weight = !axis && terms.weights && a == static_cast<std::size_t>(terms.dims);

@@ -29,7 +29,6 @@ namespace rcb::net {
 struct Incoming {
   PushTicket ticket;
   std::vector<Buffer<std::byte>> arrays;   // each of the whole slice's size
-  particles::BlockRanges ranges;           // of the positions that have come
   std::uint64_t have = 0;                  // particles complete so far
   const Connection* connection = nullptr;  // the one that brings the slice
   std::uint64_t connection_bytes = 0;      // received on it before this slice

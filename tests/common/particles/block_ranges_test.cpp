@@ -39,31 +39,6 @@ TEST(BlockRanges, AnExtremeIsSeenWhereverItStands) {
   }
 }
 
-// As they arrive: stretches that begin and end anywhere, and cross blocks.
-TEST(BlockRanges, StretchesInAnyOrderGiveTheRangesOfTheWhole) {
-  constexpr std::size_t kCount = 5 * kBlock + 7;
-  Random random(3);
-  std::vector<double> values(kCount);
-  for (double& value : values) value = random.uniform();
-  values[2 * kBlock] = kNan;
-  for (int round = 0; round < 100; ++round) {
-    std::vector<std::size_t> ends{0, kCount};
-    for (int k = 0; k < 8; ++k) ends.push_back(random.below(kCount + 1));
-    std::sort(ends.begin(), ends.end());
-    BlockRanges ranges;
-    ASSERT_TRUE(ranges.try_reset(1, kCount));
-    for (std::size_t k = ends.size() - 1; k > 0; --k)
-      ranges.extend(0, ends[k - 1], std::span(values).subspan(ends[k - 1], ends[k] - ends[k - 1]));
-    ASSERT_EQ(ranges.of[0].size(), blocks_of(kCount));
-    for (std::size_t b = 0; b < blocks_of(kCount); ++b) {
-      const std::size_t size = std::min(kBlock, kCount - b * kBlock);
-      const Range whole = range_of(std::span(values).subspan(b * kBlock, size));
-      EXPECT_EQ(ranges.of[0][b].lo, whole.lo);
-      EXPECT_EQ(ranges.of[0][b].hi, whole.hi);
-    }
-  }
-}
-
 TEST(BlockRanges, NothingIsInsideItsOwnBounds) {
   const std::vector<double> values{-0.0, 1, 2};
   const Range range = range_of(values);
