@@ -98,7 +98,7 @@ Result<PushId> read_push_id(const wire::Json& request, const std::string& sessio
 
 Status check_conserved(const std::string& scene, std::uint64_t had, std::uint64_t n, std::uint64_t inserted,
                        std::uint64_t removed) {
-  if (n + removed == had + inserted) return {};
+  if (removed <= had && n == had - removed + inserted) return {};
   const std::string change =
       inserted + removed > 0 ? fmt::format(", of which {} go and {} come", removed, inserted) : "";
   return {Code::not_conserved, fmt::format("{} particles pushed, scene '{}' has {}{}", n, scene, had, change),
@@ -106,12 +106,16 @@ Status check_conserved(const std::string& scene, std::uint64_t had, std::uint64_
           "replace"};
 }
 
+Way read_path(wire::FieldReader& fields) {
+  const std::string path = fields.word("path", {"gateway", "direct", "shared"});
+  return path == "direct" ? Way::sockets : path == "shared" ? Way::shared_memory : Way::endpoint;
+}
+
 Result<Push> read_push(const wire::Json& request, PushId id, int ranks) {
   wire::FieldReader fields(request);
   Push push{.id = std::move(id)};
   push.n = static_cast<std::uint64_t>(fields.integer("n", 0, wire::kParticlesMax));
-  const std::string path = fields.word("path", {"gateway", "direct", "shared"});
-  push.way = path == "direct" ? Way::sockets : path == "shared" ? Way::shared_memory : Way::endpoint;
+  push.way = read_path(fields);
   push.weights = fields.flag("weights");
   push.ids = fields.flag("ids");
   push.is_float32 = fields.word("dtype", {"<f8", "<f4"}) == "<f4";

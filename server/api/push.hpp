@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "common/base/status.hpp"
+#include "common/wire/field_reader.hpp"
 #include "common/wire/message.hpp"
 #include "server/scene/report.hpp"
 
@@ -77,6 +78,9 @@ struct Push {
 // Whether the n particles of a step are those that the scene had, but for what came and went. Errors: not_conserved.
 Status check_conserved(const std::string& scene, std::uint64_t had, std::uint64_t n, std::uint64_t inserted,
                        std::uint64_t removed);
+
+// The field "path" of a block: how its rows come.
+Way read_path(wire::FieldReader& fields);
 
 // The fields of a push.begin besides those of `id`. Errors: invalid_argument.
 Result<Push> read_push(const wire::Json& request, PushId id, int ranks);

@@ -83,17 +83,6 @@ Buffer<std::uint64_t> order_by_id(const Buffer<particles::Id>& ids) {
   return order;
 }
 
-void sort_by_id(particles::ParticleSet& particles, Buffer<std::int32_t>& part) {
-  if (std::is_sorted(particles.id.begin(), particles.id.end())) return;
-  const Buffer<std::uint64_t> order = order_by_id(particles.id);
-  Buffer<std::byte> spare;
-  for (std::size_t a = 0; a < static_cast<std::size_t>(particles.dims); ++a)
-    put_in_order(particles.position[a], order, spare);
-  put_in_order(particles.id, order, spare);
-  if (particles.has_weights) put_in_order(particles.weight, order, spare);
-  put_in_order(part, order, spare);
-}
-
 std::optional<particles::Id> duplicate_id(comm::Comm& comm, std::span<const particles::Id> ids,
                                           std::uint64_t& greatest) {
   comm.all_max({&greatest, 1});

@@ -55,9 +55,6 @@ void put_in_order(Buffer<T>& values, const Buffer<Slot>& order, Buffer<std::byte
   values.shrink();
 }
 
-// Puts particles and their parts in ascending id. Local.
-void sort_by_id(particles::ParticleSet& particles, Buffer<std::int32_t>& part);
-
 // The smallest id that occurs more than once on all ranks together; nothing if all are distinct. `greatest` becomes
 // that of all ranks. Collective.
 std::optional<particles::Id> duplicate_id(comm::Comm& comm, std::span<const particles::Id> ids,

@@ -51,7 +51,7 @@ class Reader {
       const std::uint64_t begin = at_;
       if (block.way == api::Way::endpoint)
         deal(block);
-      else if (PushSlice* slice = slice_of(block.member))
+      else if (PushSlice* slice = slice_of(block))
         ready = take(*slice, std::move(ready));
       if (at_ > begin) arrived_.runs.push_back({block.member, begin, at_ - begin});
     }
@@ -67,16 +67,9 @@ class Reader {
     return !slice.shared.empty() && slice.shared.back().where.name == "row";
   }
 
-  PushSlice* slice_of(int member) {
-    const auto found = std::ranges::find_if(
-        context_.slices, [member](const PushSlice& slice) { return slice.member == member && !slice.divided; });
-    return found == context_.slices.end() ? nullptr : &*found;
-  }
-
-  // On rank 0, of a block that came through the endpoint.
-  PushSlice* divided_slice(int member) {
-    const auto found = std::ranges::find_if(
-        context_.slices, [member](const PushSlice& slice) { return slice.member == member && slice.divided; });
+  // What has come to this rank of a member's block; of one by the endpoint, to rank 0. Null: nothing.
+  PushSlice* slice_of(const Block& block) {
+    const auto found = std::ranges::find(context_.slices, block.member, &PushSlice::member);
     return found == context_.slices.end() ? nullptr : &*found;
   }
 
@@ -92,12 +85,12 @@ class Reader {
     for (const Block& block : push_.blocks) {
       if (block.way != api::Way::endpoint) continue;
       count_ += Deal(block, push_.members, comm_.size()).count(comm_.rank());
-      if (const PushSlice* whole = divided_slice(block.member); context_.root() && (!whole || whole->count != block.n))
+      if (const PushSlice* whole = slice_of(block); context_.root() && (!whole || whole->count != block.n))
         return {Code::internal, fmt::format("the rows of member {} are missing", block.member)};
     }
     for (const Block& block : push_.blocks) {
       if (block.way == api::Way::endpoint) continue;
-      const PushSlice* slice = slice_of(block.member);
+      const PushSlice* slice = slice_of(block);
       const bool memory = slice != nullptr && !slice->shared.empty() && block.counts.empty();
       const std::uint64_t come = slice == nullptr ? 0 : memory ? slice->rows : slice->count;
       const std::uint64_t wanted =
@@ -174,7 +167,7 @@ class Reader {
   void deal(const Block& block) {
     const Deal deal(block, push_.members, comm_.size());
     const std::uint64_t mine = deal.count(comm_.rank());
-    PushSlice* const whole = divided_slice(block.member);
+    PushSlice* const whole = slice_of(block);
     for_each_array([&](std::size_t array, auto& to) {
       std::vector<std::span<const std::byte>> pieces;
       for (int r = 0; whole != nullptr && r < comm_.size(); ++r)

@@ -16,8 +16,7 @@ Result<Block> read_block(const wire::Json& json, int ranks) {
   Block block;
   block.member = static_cast<int>(fields.integer_or("member", 0, wire::kSessionsMax, 0));
   block.n = fields.particles("n");
-  const std::string path = fields.word("path", {"gateway", "direct", "shared"});
-  block.way = path == "direct" ? api::Way::sockets : path == "shared" ? api::Way::shared_memory : api::Way::endpoint;
+  block.way = api::read_path(fields);
   block.is_float32 = fields.word("dtype", {"<f8", "<f4"}) == "<f4";
   for (const double count : fields.numbers("counts", static_cast<std::size_t>(ranks)))
     block.counts.push_back(static_cast<std::uint64_t>(count));
@@ -25,22 +24,6 @@ Result<Block> read_block(const wire::Json& json, int ranks) {
   if (!block.counts.empty() && block.counts.size() != static_cast<std::size_t>(ranks))
     return Status(Code::invalid_argument, "a block's counts aren't those of all ranks");
   return block;
-}
-
-Status check_conserved(const Scene& scene, const PushRequest& push) {
-  if (push.removed > scene.n || push.n != scene.n - push.removed + push.inserted) {
-    const std::string change = push.inserted == 0 && push.removed == 0
-                                   ? ""
-                                   : fmt::format(", of which {} go and {} come", push.removed, push.inserted);
-    return {Code::not_conserved,
-            fmt::format("{} particles pushed, scene '{}' has {}{}", push.n, scene.name, scene.n, change),
-            "push all particles once; say how many come ('inserted') and go ('removed'), or create the scene anew with "
-            "replace"};
-  }
-  if ((push.inserted > 0 || push.removed > 0) && !push.ids && push.n > 0 && scene.n > 0)
-    return {Code::invalid_argument, "particles come or go, and the push gives no ids",
-            "without ids a row is its particle; give ids to all of them"};
-  return {};
 }
 
 }  // namespace
@@ -74,8 +57,11 @@ Result<PushRequest> read_order(const wire::Json& request, int ranks) {
 Status check_request(const Scene& scene, const PushRequest& push) {
   if (scene.step && push.id.step <= *scene.step) return scene::stale_step(scene.name, push.id.step, *scene.step);
   if (scene.epoch == 0) return {};
-  if (Status status = check_conserved(scene, push); !status.ok() || push.n == 0) return status;
-  if (scene.n == 0) return {};  // as at a first push
+  Status conserved = api::check_conserved(scene.name, scene.n, push.n, push.inserted, push.removed);
+  if (!conserved.ok() || push.n == 0 || scene.n == 0) return conserved;  // into an empty scene: as at a first push
+  if ((push.inserted > 0 || push.removed > 0) && !push.ids)
+    return {Code::invalid_argument, "particles come or go, and the push gives no ids",
+            "without ids a row is its particle; give ids to all of them"};
   if (scene.ids && !push.ids)
     return {Code::invalid_argument, fmt::format("scene '{}' has ids, and the push gives none", scene.name),
             "give the id of each row"};

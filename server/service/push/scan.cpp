@@ -201,4 +201,13 @@ Scan scan_shared(Scene& scene, const SharedSource& source, particles::ParticleSe
   return scan;
 }
 
+std::vector<std::uint64_t> count_changes(const Scene& scene, const Drift& drift) {
+  std::vector<std::uint64_t> change(static_cast<std::size_t>(scene.options.parts), 0);
+  for (std::size_t k = 0; k < drift.count(); ++k) {
+    --change[static_cast<std::size_t>(scene.part[drift.slot[k]])];
+    ++change[static_cast<std::size_t>(drift.part[k])];
+  }
+  return change;
+}
+
 }  // namespace rcb::service

@@ -38,4 +38,7 @@ struct Scan {
 // already. Local.
 Scan scan_shared(Scene& scene, const SharedSource& source, particles::ParticleSet& staged, int rank, int ranks);
 
+// By how much the count of each part changes by this rank's drift, mod 2^64. scene.part has the parts before. Local.
+std::vector<std::uint64_t> count_changes(const Scene& scene, const Drift& drift);
+
 }  // namespace rcb::service

@@ -58,9 +58,9 @@ void add_up(comm::Comm& comm, const std::vector<std::uint64_t>& exports, RankOf 
   std::copy(matrix + static_cast<std::ptrdiff_t>(pairs), cells.end(), sums.counts.begin());
 }
 
-std::size_t counts_summed(const Scene& scene, bool weights) {
-  const bool apart = weights || scene.options.parts > StepSums::kPartsMax || scene.epoch == 0;
-  return apart ? 0 : static_cast<std::size_t>(scene.options.parts);
+// Whether counts by part are among the sums.
+bool sums_counts(const Scene& scene, bool weights) {
+  return !weights && scene.epoch > 0 && scene.options.parts <= StepSums::kPartsMax;
 }
 
 int member_of(const std::vector<Run>& runs, std::size_t i) {
@@ -99,10 +99,10 @@ Status fault_in(comm::Comm& comm, const particles::ParticleView& view, bool has_
   return fault;
 }
 
-// The parts of this rank's rows under the cuts in force, and what follows from them. Local. Returns false where a value
-// is at fault.
-bool find_parts(const comm::Comm& comm, Scene& scene, const PushRequest& push, const std::vector<Run>& runs,
-                Staged& staged) {
+// The parts of this rank's rows under the cuts in force, and what follows from them. Local. Errors: too_large; others
+// where a value is at fault.
+Status find_parts(const comm::Comm& comm, Scene& scene, const PushRequest& push, const std::vector<Run>& runs,
+                  Staged& staged) {
   const particles::ParticleView view = staged.arrays.view();
   const auto dims = static_cast<std::size_t>(view.dims);
   // Rows often come in the same order again, so the parts held are a good hint.
@@ -117,7 +117,7 @@ bool find_parts(const comm::Comm& comm, Scene& scene, const PushRequest& push, c
   if (push.weights) options.weights = staged.arrays.weight.span();
   const auto positions = cuts::Positions::axes(std::span(view.position.data(), dims), view.count);
   auto counted = cuts::count(scene.snapshot(), positions, options, staged.part.span());
-  if (!counted.ok()) return false;
+  if (!counted.ok()) return counted.status();
   staged.sums.id_sum = counted->id_sum;
   if (scene.key.key) staged.sums.keyed_sum = sum_ids(staged.arrays.id.span(), *scene.key.key);
   if (!staged.sums.counts.empty()) staged.sums.counts = std::move(counted->counts);
@@ -130,7 +130,7 @@ bool find_parts(const comm::Comm& comm, Scene& scene, const PushRequest& push, c
       for (std::size_t i = run.begin; i < run.begin + run.count; ++i)
         staged.sums.strangers += parts.has(staged.part[i]) ? 0U : 1U;
     }
-  return true;
+  return {};
 }
 
 // Collective.
@@ -141,20 +141,26 @@ Status prepare_new(Context& context, Scene& scene, const PushRequest& push, Stag
   staged.arrays = std::move(arrived->set);
   staged.took_slice = arrived->took_slice;
   const std::uint64_t mine = staged.arrays.count();
-  const Status room = room_for_step(comm, scene, staged, mine);
+  Status ready = room_for_step(comm, scene, staged, mine);
   StepSums& sums = staged.sums;
   sums.rows = mine;
-  sums.counts.resize(counts_summed(scene, push.weights));
-  const bool good = room.ok() && (scene.epoch > 0 ? find_parts(comm, scene, push, arrived->runs, staged)
-                                                  : !first_fault(staged.arrays.view()));
-  if (scene.epoch == 0) sums.id_sum = sum_ids(staged.arrays.id.span(), 0);
-  sums.faults = good ? 0 : 1;
+  if (sums_counts(scene, push.weights)) sums.counts.resize(static_cast<std::size_t>(scene.options.parts));
+  bool fault = false;  // a value is wrong
+  if (ready.ok() && scene.epoch == 0) {
+    fault = first_fault(staged.arrays.view()).has_value();
+    sums.id_sum = sum_ids(staged.arrays.id.span(), 0);
+  } else if (ready.ok()) {
+    Status found = find_parts(comm, scene, push, arrived->runs, staged);
+    fault = !found.ok() && found.code() != Code::too_large;
+    if (!fault) ready = std::move(found);
+  }
+  sums.faults = ready.ok() && !fault ? 0 : 1;
   const auto rank_of = [&](std::uint64_t slot) {
     return layout::rank_of_part(staged.part[slot], scene.options.parts, comm.size());
   };
   add_up(comm, staged.exports, rank_of, sums);
   if (sums.faults > 0) {
-    if (Status status = agree_status(comm, room); !status.ok()) return status;
+    if (Status status = agree_status(comm, ready); !status.ok()) return status;
     return fault_in(comm, staged.arrays.view(), push.ids);
   }
   if (Status status = check_identity(comm, scene, push, arrived->runs, staged); !status.ok()) return status;
@@ -195,14 +201,11 @@ Status prepare_held(Context& context, Scene& scene, const PushRequest& push, Sta
   sums.faults = ready.ok() && !staged.scan.fault ? 0 : 1;
   sums.rows = scene.particles.count();
   sums.drifted = drift.count();
-  sums.counts.resize(counts_summed(scene, scene.particles.has_weights));
+  if (sums_counts(scene, scene.particles.has_weights))
+    sums.counts = count_changes(scene, drift);  // of use only without faults
   const layout::PartRange own = layout::parts_of_rank(comm.rank(), scene.options.parts, comm.size());
   std::vector<int> to;
   for (std::size_t k = 0; k < drift.count() && sums.faults == 0; ++k) {
-    if (!sums.counts.empty()) {
-      --sums.counts[static_cast<std::size_t>(scene.part[drift.slot[k]])];
-      ++sums.counts[static_cast<std::size_t>(drift.part[k])];
-    }
     if (own.has(drift.part[k])) continue;
     staged.exports.push_back(drift.slot[k]);
     to.push_back(layout::rank_of_part(drift.part[k], scene.options.parts, comm.size()));

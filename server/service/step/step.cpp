@@ -131,23 +131,17 @@ void take_drift(Context& context, Scene& scene, Staged& staged) {
   const bool new_weights = staged.arrays.has_weights;
   if (new_weights) scene.particles.weight.swap(staged.arrays.weight);
   if (staged.sums.drifted == 0 && !new_weights) return;
-  Buffer<std::int32_t> before;  // of the drifted
-  for (std::size_t k = 0; k < drift.count(); ++k)
-    before.push_back(std::exchange(scene.part[drift.slot[k]], drift.part[k]));
+  std::vector<std::uint64_t> change = std::move(staged.sums.counts);
+  if (!weighted && change.empty()) {
+    change = count_changes(scene, drift);
+    context.comm.all_sum(change);
+  }
+  for (std::size_t k = 0; k < drift.count(); ++k) scene.part[drift.slot[k]] = drift.part[k];
   scene.told_loads.reset();
   if (weighted) {
     scene.loads = partition::summarise_loads(context.comm, scene.particles.view(), scene.part.span(),
                                              scene.options.part_sizes, scene.options.parts);
     return;
-  }
-  std::vector<std::uint64_t> change = std::move(staged.sums.counts);
-  if (change.empty()) {
-    change.resize(scene.loads.counts.size());
-    for (std::size_t k = 0; k < drift.count(); ++k) {
-      --change[static_cast<std::size_t>(before[k])];
-      ++change[static_cast<std::size_t>(drift.part[k])];
-    }
-    context.comm.all_sum(change);
   }
   std::vector<std::uint64_t> counts = std::move(scene.loads.counts);
   for (std::size_t p = 0; p < counts.size(); ++p) counts[p] += change[p];
