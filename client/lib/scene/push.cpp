@@ -102,9 +102,10 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, cons
   const bool grouped = to_ranks && classified;
   Values values{weights_of(ask), ask.options.ids};
   if (way_ == Way::held && filled_ && !when_needed_) values.weights = ask.options.weights;  // the ranks have the others
-  // Rows that come over a socket and have no ids are numbered as they come.
-  if (grouped && values.ids.empty() && (way_ == Way::direct || !session().ranks_apart().empty()))
-    values.ids = row_numbers(count);
+  // A rank numbers rows without ids as they come over its socket, or by the list in memory. Where neither tells the
+  // row, ids do: rows that were grouped by rank go over sockets, or some ranks read memory and others a socket.
+  const bool some_apart = way_ == Way::shared && !session().ranks_apart().empty();
+  if (values.ids.empty() && (some_apart || (way_ == Way::direct && grouped))) values.ids = row_numbers(count);
   wire::Json begin = begin_json(step, retry);
   begin.update({{"n", count},
                 {"dtype", ask.positions.single() ? "<f4" : "<f8"},
