@@ -68,6 +68,13 @@ struct Frame {
   Result<wire::Json> json() const { return wire::parse_json(text, wire::kReplyJsonBytesMax, wire::kReplyJsonBytesMax); }
 };
 
+// Parsed once, since an answer comes at each step.
+struct Answer {
+  explicit Answer(Frame told) : frame(std::move(told)), json(frame.json()) {}
+  Frame frame;
+  Result<wire::Json> json;
+};
+
 using Bytes = std::span<const std::byte>;
 using NoticeHandler = std::function<void(const std::string&)>;
 using WaitHandler = std::function<bool()>;  // ConnectOptions::on_wait

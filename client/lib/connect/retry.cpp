@@ -29,8 +29,7 @@ double with_margin(double deadline_seconds) {
 Retry::Retry(double deadline_seconds)
     : seconds_(bounded(deadline_seconds)),
       attempts_until_(bounded(deadline_seconds)),
-      deadline_(with_margin(bounded(deadline_seconds))),
-      backoff_(kPauses, std::random_device{}()) {}
+      deadline_(with_margin(bounded(deadline_seconds))) {}
 
 double Retry::seconds_left() const { return failures_ == 0 ? seconds_ : bounded(attempts_until_.left_seconds()); }
 
@@ -51,7 +50,8 @@ bool Retry::wait(const std::string& what, const NoticeHandler& tell) {
     tell(fmt::format("waiting for {}; {}", what, tried()));
     told_at_ = since;
   }
-  std::this_thread::sleep_for(std::chrono::duration<double>(std::min(backoff_.next(), left)));
+  if (!backoff_) backoff_.emplace(kPauses, std::random_device{}());
+  std::this_thread::sleep_for(std::chrono::duration<double>(std::min(backoff_->next(), left)));
   return true;
 }
 

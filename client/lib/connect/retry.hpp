@@ -7,6 +7,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <string>
 
 #include "client/lib/connect/connection.hpp"
@@ -41,9 +42,9 @@ class Retry {
   double seconds_since_loss() const;
 
   double seconds_;
-  Deadline attempts_until_;  // no attempt begins later
-  Deadline deadline_;        // for answers
-  Backoff backoff_;
+  Deadline attempts_until_;         // no attempt begins later
+  Deadline deadline_;               // for answers
+  std::optional<Backoff> backoff_;  // from the first failure on: most calls have none, and a seed costs 10 us
   int failures_ = 0;
   Deadline::Clock::time_point first_failure_;
   double told_at_ = 0;  // seconds since the first failure; 0: not yet

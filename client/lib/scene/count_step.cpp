@@ -124,10 +124,10 @@ std::string CountStep::frame(std::uint64_t request, wire::Json json) const {
   return wire::encode_frame(header, wire::dump_json(json)) + bytes;
 }
 
-Result<std::optional<Frame>> CountStep::ask(const CountCall& call, const CountedRows& rows, SceneCuts& cuts,
-                                            const Retry& retry) {
+Result<std::optional<Answer>> CountStep::ask(const CountCall& call, const CountedRows& rows, SceneCuts& cuts,
+                                             const Retry& retry) {
   static constexpr int kTriesMax = 8;  // others may change the cuts, again and again
-  const std::optional<Frame> send;
+  const std::optional<Answer> send;
   const auto find_cuts = [&]() -> Status {
     auto found = SceneCuts::ask(call.session, call.scene, retry);
     if (found) cuts.known = std::move(*found);
@@ -151,9 +151,10 @@ Result<std::optional<Frame>> CountStep::ask(const CountCall& call, const Counted
         request, sent, fmt::format("count of step {} of scene '{}'", call.step, call.scene), retry.deadline());
     if (!counted) return counted;  // the others have been told
     if (!told) return told.status();
-    const auto answer = told->json();
+    Answer answered(std::move(*told));
+    const auto& answer = answered.json;
     if (!answer) return answer.status();
-    if (answer->contains("report")) return std::optional(std::move(*told));
+    if (answer->contains("report")) return std::optional(std::move(answered));
     const auto again = answer->find("again");
     if (again == answer->end()) return send;
     if (*again == "scale") {

@@ -55,7 +55,8 @@ class CountStep {
   std::optional<std::uint64_t> drifted() const { return found_ ? drifted_ : std::nullopt; }
   // Sends the count until it is judged: the answer that commits the step, or none if its positions are to be pushed.
   // cuts: asked for where they aren't known, or are others.
-  Result<std::optional<Frame>> ask(const CountCall& call, const CountedRows& rows, SceneCuts& cuts, const Retry& retry);
+  Result<std::optional<Answer>> ask(const CountCall& call, const CountedRows& rows, SceneCuts& cuts,
+                                    const Retry& retry);
   void committed(std::int64_t step) { step_ = found_ ? std::optional(step) : std::nullopt; }
 
  private:

@@ -112,13 +112,13 @@ struct Scene::State {
   // Whether the step can be a count.
   bool can_count(const StepRequest& ask) const;
   // The answer to the step as a count; nothing if its positions are to be pushed.
-  Result<std::optional<Frame>> step_by_count(const StepRequest& ask, std::int64_t step, const Retry& retry);
+  Result<std::optional<Answer>> step_by_count(const StepRequest& ask, std::int64_t step, const Retry& retry);
   // The weights given or, where the rows are the same, kept.
   std::span<const double> weights_of(const StepRequest& ask) const;
   CountedRows rows_of(const StepRequest& ask) const;
   // Of an answer. tried_before: an earlier attempt may have been committed, so that it may repeat the report of that.
   Result<StepReport> report_of(const Result<wire::Json>& json, std::int64_t step, bool tried_before) const;
-  Result<StepResult> take_answer(const Frame& frame, const StepRequest& ask, std::int64_t step, bool tried_before,
+  Result<StepResult> take_answer(const Answer& answer, const StepRequest& ask, std::int64_t step, bool tried_before,
                                  const Retry& retry);
   // The cuts after a step, if they are told or needed; counted_ then has the parts by them, if these are.
   Result<std::optional<cuts::Cuts>> complete(const Frame& frame, const wire::Json& json, const StepReport& report,

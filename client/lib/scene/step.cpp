@@ -163,9 +163,9 @@ bool Scene::State::can_count(const StepRequest& ask) const {
   return ask.positions.count == 0 || (ids_fit && weights_fit);
 }
 
-Result<std::optional<Frame>> Scene::State::step_by_count(const StepRequest& ask, std::int64_t step,
-                                                         const Retry& retry) {
-  if (!can_count(ask)) return std::optional<Frame>();
+Result<std::optional<Answer>> Scene::State::step_by_count(const StepRequest& ask, std::int64_t step,
+                                                          const Retry& retry) {
+  if (!can_count(ask)) return std::optional<Answer>();
   return counted_.ask({session(), name_, incarnation_, step, last_step_, ask.options.step_seconds, seated()},
                       rows_of(ask), cuts_, retry);
 }
@@ -178,18 +178,21 @@ Result<StepResult> Scene::State::try_step(const StepRequest& ask, std::int64_t s
     if (Status fits = check(ask); !fits) return fits;
   const bool tried_before = unanswered_.begin(step);
   const bool committed = tried_before && last_step_ == step;
-  auto counted = committed ? Result<std::optional<Frame>>(std::nullopt) : step_by_count(ask, step, retry);
-  const auto frame = !counted.ok()          ? Result<Frame>(counted.status())
-                     : counted->has_value() ? Result<Frame>(std::move(**counted))
-                     : committed            ? ask_for_answer(step, retry)
-                                            : push(ask, step, retry);
-  if (!frame) {
-    unanswered_.failed(frame.status().code(), tried_before);
-    if (frame.status().code() == Code::stale_step)  // another session has pushed that number: go on behind it
-      if (const auto others = step_in_force(retry); others.ok()) last_step_ = *others;
-    return frame.status();
+  auto answer = committed ? Result<std::optional<Answer>>(std::nullopt) : step_by_count(ask, step, retry);
+  if (answer && !*answer) {
+    auto frame = committed ? ask_for_answer(step, retry) : push(ask, step, retry);
+    if (frame)
+      answer->emplace(std::move(*frame));
+    else
+      answer = frame.status();
   }
-  return take_answer(*frame, ask, step, tried_before, retry);
+  if (!answer) {
+    unanswered_.failed(answer.status().code(), tried_before);
+    if (answer.status().code() == Code::stale_step)  // another session has pushed that number: go on behind it
+      if (const auto others = step_in_force(retry); others.ok()) last_step_ = *others;
+    return answer.status();
+  }
+  return take_answer(**answer, ask, step, tried_before, retry);
 }
 
 Result<std::optional<cuts::Cuts>> Scene::State::complete(const Frame& frame, const wire::Json& json,
@@ -219,16 +222,16 @@ Result<StepReport> Scene::State::report_of(const Result<wire::Json>& json, std::
                 "use one Scene for each scene of a client");
 }
 
-Result<StepResult> Scene::State::take_answer(const Frame& frame, const StepRequest& ask, std::int64_t step,
+Result<StepResult> Scene::State::take_answer(const Answer& answer, const StepRequest& ask, std::int64_t step,
                                              bool tried_before, const Retry& retry) {
-  const auto json = frame.json();
+  const auto& json = answer.json;
   auto report = report_of(json, step, tried_before);
   if (!report) {
     unanswered_.answered();
     return report.status();
   }
   // This comes before anything here changes: until then the step can be pushed once more.
-  auto after = complete(frame, *json, *report, ask, retry);
+  auto after = complete(answer.frame, *json, *report, ask, retry);
   if (!after)
     return Status(after.status().code(),
                   fmt::format("step {} is committed, but its parts are not known: {}", step, after.status().message()),
