@@ -428,7 +428,7 @@ class TwoLedgers {
 TEST(Ledger, CountsLeaveTheHistoryThatPushesLeave) {
   const auto level = spdlog::get_level();
   spdlog::set_level(spdlog::level::off);  // what the services that died have left half done
-  constexpr std::uint64_t kScenes = 2000;
+  constexpr std::uint64_t kScenes = 500;
   TwoLedgers::Seen seen;
   for (std::uint64_t seed = 1; seed <= kScenes && !HasFailure(); ++seed) {
     SCOPED_TRACE(fmt::format("seed {}", seed));
@@ -438,7 +438,7 @@ TEST(Ledger, CountsLeaveTheHistoryThatPushesLeave) {
   if (HasFailure()) return;
   for (const std::uint64_t count : {seen.committed, seen.sent, seen.wasted, seen.other_cuts, seen.other_scale,
                                     seen.lost, seen.rebalanced, seen.died_before, seen.died_after})
-    EXPECT_GT(count, kScenes / 10);
+    EXPECT_GT(count, kScenes / 20);
   for (const std::uint64_t count : seen.faults) EXPECT_GT(count, kScenes / 10);
 }
 

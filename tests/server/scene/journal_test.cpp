@@ -223,13 +223,13 @@ class Lives {
 TEST(Journal, GivesBackWhatWasPutWhereverTheProcessDies) {
   const std::uint64_t seed = std::random_device{}();
   std::size_t reports = 0;
-  for (std::uint64_t k = 0; k < 3000 && !HasFailure(); ++k) {
+  for (std::uint64_t k = 0; k < 600 && !HasFailure(); ++k) {
     SCOPED_TRACE(fmt::format("seed {}", seed + k));
     Lives lives(seed + k);
     lives.run();
     reports += lives.reports();
   }
-  EXPECT_GT(reports, 4000U);  // else nothing has been tested
+  EXPECT_GT(reports, 800U);  // else nothing has been tested
 }
 
 // A journal of a few values on a simulated disk, to be damaged.
