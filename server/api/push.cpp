@@ -96,16 +96,6 @@ Result<PushId> read_push_id(const wire::Json& request, const std::string& sessio
   return id;
 }
 
-Status check_conserved(const std::string& scene, std::uint64_t had, std::uint64_t n, std::uint64_t inserted,
-                       std::uint64_t removed) {
-  if (removed <= had && n == had - removed + inserted) return {};
-  const std::string change =
-      inserted + removed > 0 ? fmt::format(", of which {} go and {} come", removed, inserted) : "";
-  return {Code::not_conserved, fmt::format("{} particles pushed, scene '{}' has {}{}", n, scene, had, change),
-          "push all particles once; say how many come ('inserted') and go ('removed'), or create the scene anew with "
-          "replace"};
-}
-
 Way read_path(wire::FieldReader& fields) {
   const std::string path = fields.word("path", {"gateway", "direct", "shared"});
   return path == "direct" ? Way::sockets : path == "shared" ? Way::shared_memory : Way::endpoint;

@@ -75,10 +75,6 @@ struct Push {
   bool direct(int rank) const { return direct() && !from_memory(rank); }
 };
 
-// Whether the n particles of a step are those that the scene had, but for what came and went. Errors: not_conserved.
-Status check_conserved(const std::string& scene, std::uint64_t had, std::uint64_t n, std::uint64_t inserted,
-                       std::uint64_t removed);
-
 // The field "path" of a block: how its rows come.
 Way read_path(wire::FieldReader& fields);
 

@@ -63,6 +63,8 @@ Result<CountRecord> read_count(const wire::Json& request, const std::vector<wire
   record.step = fields.integer("step", 0, wire::kStepMax);
   record.epoch = static_cast<std::uint64_t>(fields.integer("epoch", 0, wire::kIntegerMax));
   record.n = fields.particles("n");
+  record.inserted = fields.particles("inserted");
+  record.removed = fields.particles("removed");
   if (fields.has("drifted")) record.drifted = fields.particles("drifted");
   if (fields.has("step_seconds"))
     record.step_seconds = fields.number_or("step_seconds", 0, std::numeric_limits<double>::max(), 0);
@@ -98,6 +100,16 @@ Result<CountRecord> read_count(const wire::Json& request, const std::vector<wire
   if (Status status = check_weights(record, weights); !status.ok()) return status;
   record.weights = std::move(weights);
   return record;
+}
+
+Status check_conserved(const std::string& scene, std::uint64_t had, std::uint64_t n, std::uint64_t inserted,
+                       std::uint64_t removed) {
+  if (removed <= had && n == had - removed + inserted) return {};
+  const std::string change =
+      inserted + removed > 0 ? fmt::format(", of which {} go and {} come", removed, inserted) : "";
+  return {Code::not_conserved, fmt::format("{} particles brought, scene '{}' has {}{}", n, scene, had, change),
+          "bring all particles once; say how many come ('inserted') and go ('removed'), or create the scene anew with "
+          "replace"};
 }
 
 std::optional<int> scale_due(const WeightCount& weights, std::uint64_t n) {

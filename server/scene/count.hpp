@@ -32,6 +32,8 @@ struct CountRecord {
   std::uint64_t epoch = 0;  // of the cuts that it counted by
   std::uint64_t hash = 0;
   std::uint64_t n = 0;
+  std::uint64_t inserted = 0;            // particles that were not there at the step before
+  std::uint64_t removed = 0;             // particles of the step before that are no more
   std::optional<std::uint64_t> id_sum;   // of mix64(id), mod 2^64; none: rows are ids
   std::optional<std::uint64_t> drifted;  // rows whose part is another than at the step before
   std::optional<double> step_seconds;    // the solver's computing time since its last step
@@ -41,6 +43,8 @@ struct CountRecord {
   std::uint64_t bytes = 0;              // of its frame
   std::vector<std::uint64_t> sessions;  // of all members together: the key of each one's
   std::uint64_t strangers = 0;          // of all members together: rows outside the parts of their member
+
+  bool flows() const { return inserted > 0 || removed > 0; }
 };
 
 // The JSON of a request `count` and its arrays. Errors: invalid_argument, whatever is wrong with the record by itself.
@@ -49,6 +53,10 @@ Result<CountRecord> read_count(const wire::Json& request, const std::vector<wire
 // The loads of all parts, if the record has the scale that is due. sizes: of the parts, or empty. Errors:
 // invalid_argument (a part beyond the last, loads that no weights have).
 Result<partition::LoadSummary> loads_of(const CountRecord& record, int parts, std::span<const double> sizes);
+
+// Whether the n particles of a step are those that the scene had, but for what came and went. Errors: not_conserved.
+Status check_conserved(const std::string& scene, std::uint64_t had, std::uint64_t n, std::uint64_t inserted,
+                       std::uint64_t removed);
 
 inline constexpr int kScaleMost = 1300;  // either way; of the smallest double there is
 // Whether these are loads in a scale: of 127 bits, all together.

@@ -19,7 +19,7 @@ namespace rcb::scene {
 struct Held {
   std::uint64_t n = 0;
   bool weights = false;
-  bool ids = false;                                     // given by the solver; else 0..n-1
+  bool ids = false;                                     // of positions_step: given by the solver; else 0..n-1
   std::uint64_t epoch = 0;                              // 0: no cuts yet
   std::uint64_t hash = 0;                               // of the cuts
   std::shared_ptr<const cuts::CutTree> tree;            // null: no cuts yet

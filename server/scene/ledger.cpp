@@ -102,6 +102,7 @@ const StepReport& Ledger::take(Stepped stepped) {
   frame_.clear();
   now_.positions_step = report.step;
   now_.filled = true;
+  now_.others = false;
   wants_positions_ = false;
   remember(report, stepped.session, std::move(stepped.sessions));
   return history_->last();
@@ -155,15 +156,17 @@ Status Ledger::check_seat(const CountRecord& record) const {
 
 Status Ledger::check(const CountRecord& record) const {
   if (Status status = check_seat(record); !status.ok() || !now_.step) return status;
-  if (record.n != now_.n)
-    return {Code::not_conserved, fmt::format("{} particles counted, scene '{}' has {}", record.n, name_, now_.n),
-            "count all particles once; where some come or go, push their positions"};
-  if (now_.id_sum && record.id_sum && *record.id_sum != *now_.id_sum)
+  if (Status status = check_conserved(name_, now_.n, record.n, record.inserted, record.removed); !status.ok())
+    return status;
+  if (record.flows() && record.n > 0 && !record.id_sum)
+    return {Code::invalid_argument, "particles come or go, and the count has no sum of ids",
+            "without ids a row is its particle; give ids to all of them, and their sum in 'id_sum'"};
+  if (!record.flows() && now_.id_sum && record.id_sum && *record.id_sum != *now_.id_sum)
     return {Code::not_conserved,
             fmt::format("the ids counted have the sum {}, those of the last step had {}", wire::hex64(*record.id_sum),
                         wire::hex64(*now_.id_sum)),
-            "each particle is counted once, by its id"};
-  if (record.n > 0 && record.weights.has_value() != now_.weights)
+            "each particle is counted once, by its id; say how many come ('inserted') and go ('removed')"};
+  if (record.n > 0 && now_.n > 0 && record.weights.has_value() != now_.weights)
     return {Code::invalid_argument,
             fmt::format("the count has {}weights, scene '{}' has {}", record.weights ? "" : "no ", name_,
                         now_.weights ? "some" : "none"),
@@ -181,6 +184,8 @@ CountVerdict Ledger::count(const CountRecord& record) {
   if (record.epoch != now_.epoch || record.hash != now_.hash) return {CountVerdict::OtherCuts{}};
   // Not before the cuts are known, since the push tells how many particles have drifted under them.
   if (!now_.positions_step) return {CountVerdict::Send{"the ranks hold no positions since the service was started"}};
+  if (now_.n == 0 && record.n > 0) return {CountVerdict::Send{"the scene had no particles before"}};
+  if (now_.n > 0 && record.n == 0) return {CountVerdict::Send{"no particles are left, so none travel"}};
   if (record.weights)
     if (const auto due = scale_due(*record.weights, record.n); due && *due != record.weights->scale)
       return {CountVerdict::OtherScale{*due}};
@@ -198,7 +203,9 @@ CountVerdict Ledger::commit(const CountRecord& record, partition::LoadSummary lo
   report.scene = name_;
   report.step = record.step;
   report.epoch = now_.epoch;
-  report.n = now_.n;
+  report.n = record.n;
+  report.inserted = record.inserted;
+  report.removed = record.removed;
   report.parts = now_.options.parts;
   report.error_before = report.error = loads.error;
   report.imbalance = loads.imbalance;
@@ -216,6 +223,11 @@ CountVerdict Ledger::commit(const CountRecord& record, partition::LoadSummary lo
   if (record.step_seconds) lasting_.costs.computed(*record.step_seconds, now_.loads->imbalance);
   now_.loads = std::make_shared<const partition::LoadSummary>(std::move(loads));
   if (record.id_sum) now_.id_sum = record.id_sum;
+  if (record.flows()) {
+    now_.n = record.n;
+    now_.others = true;
+    frame_.clear();
+  }
   report.strangers = record.strangers;
   remember(report, record.session, record.sessions);
   return {std::move(done)};

@@ -40,6 +40,7 @@ struct SceneState : Held {
   std::optional<std::int64_t> step;            // the last one; none: no positions yet
   std::optional<std::int64_t> positions_step;  // whose positions the ranks hold; none: nobody can say
   bool filled = false;                         // the ranks hold its particles, of whatever step
+  bool others = false;                         // particles came or went since positions_step, by counts
 };
 
 // A ledger without its history.

@@ -57,7 +57,7 @@ bool Tally::whole() const {
 
 Result<CountRecord> Tally::sum(int scene_parts) const {
   CountRecord all = *records_.front();
-  all.n = all.bytes = 0;
+  all.n = all.bytes = all.inserted = all.removed = 0;
   all.id_sum = 0;
   all.drifted.reset();
   all.weights.reset();
@@ -69,6 +69,8 @@ Result<CountRecord> Tally::sum(int scene_parts) const {
     const CountRecord& record = *records_[seat];
     all.n += record.n;
     all.bytes += record.bytes;
+    all.inserted += record.inserted;
+    all.removed += record.removed;
     if (all.n > static_cast<std::uint64_t>(wire::kParticlesMax))
       return cannot_add(seat, "with it there are more particles than a scene has");
     if (record.step_seconds) all.step_seconds = std::max(*record.step_seconds, all.step_seconds.value_or(0));

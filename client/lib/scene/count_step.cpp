@@ -144,7 +144,9 @@ Result<std::optional<Answer>> CountStep::ask(const CountCall& call, const Counte
                     {"step", call.step},
                     {"incarnation", call.incarnation},
                     {"deadline_seconds", retry.seconds_left()}};
-    if (call.step_seconds) json["step_seconds"] = *call.step_seconds;
+    if (call.options.step_seconds) json["step_seconds"] = *call.options.step_seconds;
+    if (call.options.inserted > 0) json["inserted"] = call.options.inserted;
+    if (call.options.removed > 0) json["removed"] = call.options.removed;
     const std::uint64_t request = call.session.next_request();
     const std::string sent = counted ? frame(request, std::move(json)) : fault_frame(request, std::move(json), counted);
     auto told = call.session.exchange_frames(

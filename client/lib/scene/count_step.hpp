@@ -38,7 +38,7 @@ struct CountCall {
   const std::string& incarnation;
   std::int64_t step = 0;
   std::optional<std::int64_t> last_step;
-  std::optional<double> step_seconds;
+  const StepOptions& options;
   bool of_member = false;  // then the others wait, and are told what is wrong with the rows
 };
 

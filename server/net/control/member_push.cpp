@@ -101,7 +101,7 @@ Status MemberGroups::check_together(const MemberPush& step) const {
     with_rows = contribution.get();
   }
   const scene::SceneState& scene = coordinator_.scenes().find(step.scene)->now();
-  return scene.step ? api::check_conserved(step.scene, scene.n, n, inserted, removed) : Status();
+  return scene.step ? scene::check_conserved(step.scene, scene.n, n, inserted, removed) : Status();
 }
 
 std::shared_ptr<MemberPush> MemberGroups::open_step(const std::string& scene, std::int64_t step, const Group& group) {

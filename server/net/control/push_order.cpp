@@ -114,6 +114,7 @@ PushOrder order_of(std::span<const std::shared_ptr<OpenPush>> pushes, std::size_
                         {"step", id.step},
                         {"members", members},
                         {"blocks", std::move(blocks)}});
+  if (ledger.now().others) order.request["counted_ids"] = *ledger.now().id_sum;
   if (Json terms = to_json(ledger.terms(all.terms().step_seconds)); !terms.empty())
     order.request["terms"] = std::move(terms);
   return order;

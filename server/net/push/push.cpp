@@ -40,7 +40,7 @@ Status check_step(const PushTerms& terms, const scene::SceneState& scene) {
 
 // Whether the ranks read from shared memory those rows whose particles they hold.
 bool by_held(const PushTerms& terms, const scene::SceneState& scene) {
-  return terms.by_held() && scene.filled && scene.n > 0;
+  return terms.by_held() && scene.filled && scene.n > 0 && !scene.others;
 }
 
 // Checks which arrays come besides the positions.
@@ -97,7 +97,7 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   if (terms.from_memory() && terms.n > 0)
     if (Status shared = check_shared(terms, scene, members); !shared.ok()) return shared;
   if (members == 0 && scene.step)
-    if (Status all = api::check_conserved(id.scene, scene.n, terms.n, terms.inserted, terms.removed); !all.ok())
+    if (Status all = scene::check_conserved(id.scene, scene.n, terms.n, terms.inserted, terms.removed); !all.ok())
       return all;
   if (terms.bytes() > bytes_max)
     return Status(Code::too_large, fmt::format("the push has {} bytes, at most {} are taken", terms.bytes(), bytes_max),

@@ -40,6 +40,7 @@ Result<PushRequest> read_order(const wire::Json& request, int ranks) {
   static_cast<api::Push&>(order) = std::move(*push);
   if (const auto terms = request.find("terms"); terms != request.end()) order.terms = scene::read_terms(*terms);
   order.way = scene::way_from_name(request.value("way", ""));
+  if (const auto sum = request.find("counted_ids"); sum != request.end()) order.counted_ids = sum->get<std::uint64_t>();
   const auto blocks = request.find("blocks");
   std::uint64_t n = 0;
   if (blocks != request.end() && blocks->is_array())
@@ -57,7 +58,8 @@ Result<PushRequest> read_order(const wire::Json& request, int ranks) {
 Status check_request(const Scene& scene, const PushRequest& push) {
   if (scene.step && push.id.step <= *scene.step) return scene::stale_step(scene.name, push.id.step, *scene.step);
   if (scene.epoch == 0) return {};
-  Status conserved = api::check_conserved(scene.name, scene.n, push.n, push.inserted, push.removed);
+  Status conserved;
+  if (!push.counted_ids) conserved = scene::check_conserved(scene.name, scene.n, push.n, push.inserted, push.removed);
   if (!conserved.ok() || push.n == 0 || scene.n == 0) return conserved;  // into an empty scene: as at a first push
   if ((push.inserted > 0 || push.removed > 0) && !push.ids)
     return {Code::invalid_argument, "particles come or go, and the push gives no ids",

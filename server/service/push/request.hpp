@@ -24,11 +24,14 @@ struct PushRequest : api::Push {
   scene::DecisionTerms terms;  // of rank 0's ledger
   int members = 0;             // of a parallel solver; 0: a single client pushes
   std::vector<Block> blocks;   // those that have rows, by ascending member
+  // Of mix64(id), of the last step, where counts have brought other particles than the ranks hold. Rank 0's ledger has
+  // compared their number.
+  std::optional<std::uint64_t> counted_ids;
 
   // The rows are those of the particles that the ranks hold, in shared memory.
   bool of_held(const Scene& scene) const {
-    return scene.pushed && scene.n > 0 && blocks.size() == 1 && blocks.front().way == api::Way::shared_memory &&
-           blocks.front().counts.empty();
+    return !counted_ids && scene.pushed && scene.n > 0 && blocks.size() == 1 &&
+           blocks.front().way == api::Way::shared_memory && blocks.front().counts.empty();
   }
 };
 

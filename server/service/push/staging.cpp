@@ -76,19 +76,21 @@ Status check_identity(comm::Comm& comm, const Scene& scene, const PushRequest& p
     return {Code::internal, fmt::format("the ranks have read {} rows of {}", staged.sums.rows, push.n)};
   const bool first = scene.epoch == 0 || scene.n == 0;
   const bool same = !first && push.inserted == 0 && push.removed == 0;
-  const bool other_sum = scene.id_sum && *scene.id_sum != staged.sums.id_sum;
-  if (same && (other_sum || (scene.key.key && scene.key.sum != staged.sums.keyed_sum)))
+  const bool held = same && !push.counted_ids;  // it is the ranks who know the particles
+  const auto sum = push.counted_ids ? push.counted_ids : scene.id_sum;
+  const bool other_sum = sum && *sum != staged.sums.id_sum;
+  if (same && (other_sum || (held && scene.key.key && scene.key.sum != staged.sums.keyed_sum)))
     return {
         Code::not_conserved,
         fmt::format("the ids pushed have the sum {}, those of scene '{}' have {}: they are other particles, or some "
                     "are missing and others come twice",
-                    wire::hex64(staged.sums.id_sum), scene.name, wire::hex64(scene.id_sum.value_or(0))),
+                    wire::hex64(staged.sums.id_sum), scene.name, wire::hex64(sum.value_or(0))),
         "push each particle once, by its id; say how many come ('inserted') and go ('removed')"};
-  staged.ids = same && scene.ids;
+  staged.ids = held && scene.ids;
   const bool listed = std::ranges::any_of(push.blocks, [](const Block& block) {
     return block.way == api::Way::shared_memory && !block.counts.empty();  // a row may stand there twice
   });
-  if ((!push.ids && !listed) || (same && scene.key.key && scene.id_sum)) return {};
+  if ((!push.ids && !listed) || (held && scene.key.key && scene.id_sum)) return {};
   return check_distinct(comm, push.members, runs, staged.arrays.id.span(), push.n, staged.ids);
 }
 

@@ -8,6 +8,7 @@
 #include <set>
 #include <string>
 #include <thread>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -27,13 +28,18 @@ constexpr std::int64_t kAll = 600;  // particles at the start
 
 // Where all particles of the solver are. Its members hold disjoint sets of them.
 struct Solver {
-  explicit Solver(int members) : all_have_read(members) {}
+  explicit Solver(int members, bool is_rebalanced = true) : all_have_read(members), rebalanced(is_rebalanced) {
+    Random random(7);
+    for (std::int64_t id = 0; id < kAll; ++id) at[id] = {random.uniform(), random.uniform(), random.uniform()};
+  }
   std::barrier<> all_have_read;  // what this step has done; then what is handed over
+  bool rebalanced;               // at kRebalanced
   std::mutex mutex;
   std::map<int, std::vector<std::int64_t>> handed_over;  // to each member
   std::map<std::int64_t, int> keeper;                    // after the last step
   std::map<std::int64_t, Point> at;
   std::set<std::string> ways;
+  std::vector<StepReport> reports;
 };
 
 class ChangingMember {
@@ -57,7 +63,7 @@ class ChangingMember {
     for (int step = 0; step < steps && !::testing::Test::HasFatalFailure(); ++step) {
       solver_.all_have_read.arrive_and_wait();
       push(*scene, step);
-      if (step == kRebalanced && member_ == 0) {
+      if (step == kRebalanced && member_ == 0 && solver_.rebalanced) {
         EXPECT_TRUE(client_->call("rebalance", R"({"scene":"team","method":"bands-x"})").ok());
       }
     }
@@ -111,12 +117,14 @@ class ChangingMember {
     {
       const std::lock_guard lock(solver_.mutex);
       solver_.ways.insert(done->report.way);
+      if (member_ == 0) solver_.reports.push_back(done->report);
       for (const LeavingRow& one : done->leaving) solver_.handed_over[one.to].push_back(ids_[one.row]);
     }
     solver_.all_have_read.arrive_and_wait();
     const std::lock_guard lock(solver_.mutex);
     ids_ = std::move(stay);
     for (const std::int64_t id : std::exchange(solver_.handed_over[member_], {})) ids_.push_back(id);
+    std::ranges::sort(ids_);  // whoever was faster
   }
 
   Solver& solver_;
@@ -128,6 +136,13 @@ class ChangingMember {
   std::int64_t new_ = 0;  // particles that it has made
 };
 
+void solve(Solver& solver, int members, Path path, const std::string& endpoint) {
+  std::vector<std::thread> threads;
+  for (int k = 0; k < members; ++k)
+    threads.emplace_back([&, k] { ChangingMember(solver, k, members, path, endpoint).solve(14); });
+  for (std::thread& one : threads) one.join();
+}
+
 TEST(ChangingMembers, TheSceneIsWhatTheyHave) {
   auto service = launch::Embedded::start(3, [](double) {});
   ASSERT_TRUE(service.ok()) << service.status().message();
@@ -137,12 +152,7 @@ TEST(ChangingMembers, TheSceneIsWhatTheyHave) {
     for (const int members : {1, 3, 4}) {
       ASSERT_TRUE(control->create_scene("team", {.parts = 6, .tolerance = 0.2, .replace = true}).ok());
       Solver solver(members);
-      Random random(7);
-      for (std::int64_t id = 0; id < kAll; ++id) solver.at[id] = {random.uniform(), random.uniform(), random.uniform()};
-      std::vector<std::thread> threads;
-      for (int k = 0; k < members; ++k)
-        threads.emplace_back([&, k] { ChangingMember(solver, k, members, path, service->endpoint()).solve(14); });
-      for (std::thread& one : threads) one.join();
+      solve(solver, members, path, service->endpoint());
       const auto held = control->call("fetch", "{\"scene\":\"team\"}");
       ASSERT_TRUE(held.ok()) << held.status().message();
       const auto id = held->find("id")->i8();
@@ -161,6 +171,40 @@ TEST(ChangingMembers, TheSceneIsWhatTheyHave) {
       const char* way = path == Path::gateway ? "endpoint" : path == Path::direct ? "sockets" : "shared-memory";
       EXPECT_EQ(solver.ways, std::set<std::string>{way});
     }
+}
+
+// What comes and goes in a step needs no positions, and leaves the history that it leaves with them.
+TEST(ChangingMembers, AreCountedLikeThoseThatStay) {
+  auto service = launch::Embedded::start(3, [](double) {});
+  ASSERT_TRUE(service.ok()) << service.status().message();
+  auto control = Client::connect({.endpoint = service->endpoint()});
+  ASSERT_TRUE(control.ok());
+  for (const int members : {1, 4}) {
+    SCOPED_TRACE(members);
+    Solver sent(members, false), counted(members, false);
+    for (const auto& [positions, solver] : {std::pair{"every-step", &sent}, {"when-needed", &counted}}) {
+      ASSERT_TRUE(
+          control->create_scene("team", {.parts = 6, .tolerance = 0.2, .positions = positions, .replace = true}).ok());
+      solve(*solver, members, Path::automatic, service->endpoint());
+    }
+    EXPECT_EQ(sent.at, counted.at);
+    EXPECT_EQ(sent.keeper, counted.keeper);
+    ASSERT_EQ(sent.reports.size(), counted.reports.size());
+    int flowed = 0, told = 0;
+    for (std::size_t k = 0; k < sent.reports.size(); ++k) {
+      const StepReport &one = sent.reports[k], &other = counted.reports[k];
+      EXPECT_EQ(std::tuple(one.n, one.inserted, one.removed, one.epoch, one.moved, one.strangers, one.axes_flipped),
+                std::tuple(other.n, other.inserted, other.removed, other.epoch, other.moved, other.strangers,
+                           other.axes_flipped));
+      EXPECT_EQ(std::tuple(one.error_before, one.error, one.imbalance, one.repartitioned, one.reason),
+                std::tuple(other.error_before, other.error, other.imbalance, other.repartitioned, other.reason));
+      EXPECT_EQ(other.sent, other.repartitioned);
+      flowed += !other.sent && other.inserted > 0 && other.removed > 0 ? 1 : 0;
+      told += other.sent ? 1 : 0;
+    }
+    EXPECT_GT(flowed, 3);
+    EXPECT_GT(told, 1);
+  }
 }
 
 }  // namespace

@@ -1,6 +1,8 @@
 // One and the same history, whether every step's positions travel or only those that a count can't stand in for; and
 // no trace in the ledger of what isn't a step. The service may die at any call that stores, and is started again.
+#include <algorithm>
 #include <array>
+#include <iterator>
 #include <memory>
 
 #include <fmt/format.h>
@@ -34,13 +36,13 @@ std::string picture(const scene::DecisionTerms& terms) {
 std::string picture(const Ledger& ledger) {
   const scene::SceneState& now = ledger.now();
   const scene::SceneTotals& totals = ledger.totals();
-  return fmt::format("{} {} {} {} {} / {} {} {} {} {} {} {} {} / {} {} {} {} {} {} {} {} {} / {} {} {}",
+  return fmt::format("{} {} {} {} {} / {} {} {} {} {} {} {} {} {} / {} {} {} {} {} {} {} {} {} / {} {} {}",
                      now.options.parts, now.options.tolerance, now.options.cut_tolerance, now.options.part_sizes,
                      now.incarnation, now.step.value_or(-1), now.positions_step.value_or(-1), now.id_sum.value_or(0),
-                     now.n, now.weights, now.epoch, now.hash, static_cast<const void*>(now.loads.get()), totals.steps,
-                     totals.repartitions, totals.bytes, totals.drifted, totals.moved, totals.seconds.search,
-                     totals.skipped, totals.asked, ledger.history().total(), picture(ledger.terms(0.1)),
-                     picture(ledger.terms({})), ledger.wants_positions());
+                     now.n, now.others, now.weights, now.epoch, now.hash, static_cast<const void*>(now.loads.get()),
+                     totals.steps, totals.repartitions, totals.bytes, totals.drifted, totals.moved,
+                     totals.seconds.search, totals.skipped, totals.asked, ledger.history().total(),
+                     picture(ledger.terms(0.1)), picture(ledger.terms({})), ledger.wants_positions());
 }
 
 // One random scene, stepped by pushes alone (`every`) and by counts and pushes (`lazy`).
@@ -50,7 +52,8 @@ class TwoLedgers {
   struct Seen {
     std::uint64_t committed = 0, sent = 0, wasted = 0, other_cuts = 0, other_scale = 0, lost = 0, rebalanced = 0,
                   died_before = 0, died_after = 0;
-    std::array<std::uint64_t, 12> faults{};
+    std::uint64_t flowed = 0, flowed_on = 0, emptied = 0;
+    std::array<std::uint64_t, 14> faults{};
   };
 
   TwoLedgers(std::uint64_t seed, Seen& seen) : random_(seed), seen_(seen) {
@@ -106,9 +109,9 @@ class TwoLedgers {
   }
 
   void step() {
-    const bool resized = lazy().now().step && chance(random_, 12);
     world_.move(random_);
-    if (resized) world_.resize(random_, random_.below(2 * world_.set.count() + 3));
+    if (lazy().now().step && chance(random_, 5)) world_.exchange(random_);
+    flow();
     step_ += 1 + static_cast<std::int64_t>(random_.below(3));
     if (lazy().now().step && chance(random_, 20)) restart();
     if (chance(random_, 8)) session_ = fmt::format("run {}", step_);
@@ -116,18 +119,19 @@ class TwoLedgers {
     if (lazy().now().step && chance(random_, 8)) rebalance_due_ = true;
     if (rebalance_due_ || chance(random_, 10)) lazy().want_positions();
     if (chance(random_, 4)) lazy().take(scene::Asked{"quality"});
-    if (resized) {
-      look();
-      drifted_.reset();  // not counted, so by which cuts nobody has said
-    }
-    const std::string outcome = resized ? "send: changed" : count();
+    const bool others = lazy().now().others;
+    const std::string outcome = count();
     const bool send = outcome.starts_with("send: ");
-    if (send && !resized && chance(random_, 6)) {  // never followed by its push
+    if (send && chance(random_, 6)) {  // never followed by its push
       ++seen_.lost;
       return;
     }
     const bool first = !every_.now().step;
-    const bool due = resized || first || lazy().wants_positions() || !had_positions_;
+    const bool emptied = ids_.empty() != (world_.set.count() == 0);
+    const bool due = emptied || first || lazy().wants_positions() || !had_positions_;
+    if (flows() && !send) ++seen_.flowed;
+    seen_.flowed_on += others && send && had_positions_ ? 1 : 0;
+    seen_.emptied += emptied ? 1 : 0;
     bool held = false;
     Stepped all = every_ranks_.push(world_.set, step_, every_.terms(seconds_));
     EXPECT_TRUE(send == (due || all.report.repartitioned || all.wasted)) << outcome;
@@ -137,6 +141,7 @@ class TwoLedgers {
     sessions_.push_back(session_);
     compare(first || (send && held) || drifted_.has_value(), send);
     lose_answer();
+    ids_.assign(world_.set.id.begin(), world_.set.id.end());
     learn(send);
     if (rebalance_due_ && lazy().now().positions_step == lazy().now().step) rebalance();
   }
@@ -160,6 +165,8 @@ class TwoLedgers {
   void take(Ledger& ledger, Stepped stepped) {
     stepped.session = session_;
     stepped.step_seconds = seconds_;
+    stepped.report.inserted = come_;
+    stepped.report.removed = go_;
     const StepReport& report = ledger.take(std::move(stepped));
     EXPECT_EQ(report.step, step_);
   }
@@ -173,7 +180,8 @@ class TwoLedgers {
       const auto due = now.weights ? scale_needed(world_.set.view()) : std::nullopt;
       const std::string before = picture(lazy());
       if (now.step && cuts_.epoch == now.epoch && (!due || *due == scale_)) {
-        for (std::uint64_t k = now.positions_step ? random_.below(4) : 0; k > 0; --k) disturb(seats, due);
+        const bool judged = now.positions_step && ids_.empty() == (world_.set.count() == 0);
+        for (std::uint64_t k = judged ? random_.below(4) : 0; k > 0; --k) disturb(seats, due);
         EXPECT_EQ(ask(every_, at_step(seats, step_)), "send: the scene's ranks hold every step");
       }
       std::string outcome;
@@ -209,17 +217,28 @@ class TwoLedgers {
     }
   }
 
+  // How many have come and gone since the last step; ids ascend.
+  void flow() {
+    const std::span<const particles::Id> now = world_.set.id.span();
+    std::vector<particles::Id> both;
+    std::ranges::set_intersection(now, ids_, std::back_inserter(both));
+    come_ = lazy().now().step ? now.size() - both.size() : 0;
+    go_ = ids_.size() - both.size();
+  }
+  bool flows() const { return come_ + go_ > 0; }
+
   // The parts of all rows by the cuts that the client knows.
   void look() {
     part_.resize(world_.set.count());
     std::ranges::fill(part_, 0);
     if (cuts_.epoch > 0) cuts_.tree.classify(world_.set.view(), part_.span());
-    drifted_ = part_known_ ? std::optional(differences(part_, last_part_)) : std::nullopt;
+    drifted_ = part_known_ && !flows() ? std::optional(differences(part_, last_part_)) : std::nullopt;
   }
   std::vector<CountRequest> requests() {
     const std::size_t n = world_.set.count();
     std::size_t count = chance(random_, 3) ? 2 + random_.below(3) : 1;
     std::vector<CountRequest> seats;
+    std::uint64_t come = come_, go = go_;  // that the seats to come tell
     for (std::size_t seat = 0, first = 0; seat < count; ++seat) {
       const std::size_t last = seat + 1 == count ? n : first + random_.below(n - first + 1);
       seats.push_back(count_rows(world_.set.view(), part_.span(), std::exchange(first, last), last, scale_));
@@ -228,7 +247,12 @@ class TwoLedgers {
       json.update({{"hash", wire::hex64(cuts_.hash)}, {"incarnation", wire::hex64(kIncarnation)}});
       if (drifted_) json["drifted"] = count > 1 ? 0 : *drifted_;  // a seat doesn't know where its rows were
       if (seconds_) json["step_seconds"] = seat == 0 ? *seconds_ : 0;
-      if (count == 1 && !tells_ids_) json["id_sum"] = nullptr;
+      if (count == 1 && !tells_ids_ && !flows()) json["id_sum"] = nullptr;
+      const bool all = seat + 1 == count;  // the seats before it tell some
+      json["inserted"] = std::exchange(come, all ? 0 : random_.below(come + 1));
+      json["inserted"] = json["inserted"].get<std::uint64_t>() - come;
+      json["removed"] = std::exchange(go, all ? 0 : random_.below(go + 1));
+      json["removed"] = json["removed"].get<std::uint64_t>() - go;
     }
     if (count > 1) drifted_.reset();
     return seats;
@@ -277,7 +301,7 @@ class TwoLedgers {
       case 5: {  // one particle more
         CountRequest more = count_rows(world_.set.view(), part_.span(), 0, world_.set.count(), scale_);
         more.json.update(seats[0].json);
-        more.json["n"] = world_.set.count() + 1;
+        more.json.update({{"n", world_.set.count() + 1}, {"inserted", come_}, {"removed", go_}});
         std::vector<std::uint64_t> counts(more.arrays[1].bytes.size() / 8 + (world_.set.count() == 0 ? 1 : 0));
         if (!more.arrays[1].bytes.empty())
           std::memcpy(counts.data(), more.arrays[1].bytes.data(), more.arrays[1].bytes.size());
@@ -290,7 +314,7 @@ class TwoLedgers {
         break;
       }
       case 6:  // another particle
-        if (!lazy().now().id_sum) return;
+        if (!lazy().now().id_sum || flows()) return;
         one.json["id_sum"] = wire::hex64(random_.next());
         break;
       case 7:
@@ -323,6 +347,15 @@ class TwoLedgers {
         expected = "refused invalid_argument";
         break;
       }
+      case 11:  // comes, and isn't there
+        one.json["inserted"] = one.json["inserted"].get<std::uint64_t>() + 1;
+        break;
+      case 12:  // comes, and nobody says which
+        if (seats.size() > 1 || !any) return;
+        one.json.update({{"inserted", come_ + 1}, {"removed", go_ + 1}, {"id_sum", nullptr}});
+        if (lazy().now().n <= go_) return;
+        expected = "refused invalid_argument";
+        break;
       default:
         std::swap(one.arrays[0], one.arrays[1]);
         expected = "malformed invalid_argument";
@@ -346,6 +379,10 @@ class TwoLedgers {
     EXPECT_EQ(lazy().now().positions_step, positions_step_);
     EXPECT_FALSE(sent && lazy().wants_positions());
     EXPECT_EQ(lazy().now().step, step_);
+    EXPECT_EQ(lazy().now().n, world_.set.count());
+    EXPECT_EQ(lazy().now().id_sum.value_or(*every_.now().id_sum), every_.now().id_sum);
+    EXPECT_EQ(one["inserted"], come_);
+    EXPECT_EQ(one["removed"], go_);
     EXPECT_EQ(every_.now().hash, lazy().now().hash);
     EXPECT_EQ(every_.now().loads->loads, lazy().now().loads->loads);
     EXPECT_EQ(every_.now().loads->part_errors, lazy().now().loads->part_errors);
@@ -418,6 +455,8 @@ class TwoLedgers {
 
   std::vector<std::int64_t> numbers_;  // of the steps in the history
   std::vector<std::string> sessions_;
+  std::vector<particles::Id> ids_;  // of the last step
+  std::uint64_t come_ = 0, go_ = 0;
   std::optional<std::int64_t> positions_step_;
   std::uint64_t remembered_ = 0;  // in the history: the first step whose session the ledger knows
   bool had_positions_ = false;    // the ranks, of a step that is known, as it was counted
@@ -436,8 +475,9 @@ TEST(Ledger, CountsLeaveTheHistoryThatPushesLeave) {
   }
   spdlog::set_level(level);
   if (HasFailure()) return;
-  for (const std::uint64_t count : {seen.committed, seen.sent, seen.wasted, seen.other_cuts, seen.other_scale,
-                                    seen.lost, seen.rebalanced, seen.died_before, seen.died_after})
+  for (const std::uint64_t count :
+       {seen.committed, seen.sent, seen.wasted, seen.other_cuts, seen.other_scale, seen.lost, seen.rebalanced,
+        seen.died_before, seen.died_after, seen.flowed, seen.flowed_on, seen.emptied})
     EXPECT_GT(count, kScenes / 20);
   for (const std::uint64_t count : seen.faults) EXPECT_GT(count, kScenes / 10);
 }

@@ -3,9 +3,11 @@
 // another scene than it was.
 #include "server/scene/lasting.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <functional>
 #include <future>
+#include <iterator>
 #include <limits>
 #include <map>
 #include <memory>
@@ -138,9 +140,9 @@ class Life {
     world_->move(random_);
     seconds_ = chance(random_, 4) ? std::nullopt : std::optional(random_.uniform(0, 0.1));
     if (chance(random_, 4)) ledger.take(scene::Asked{"quality"});
-    const bool resized = ledger.now().step && chance(random_, 12);
-    if (resized) world_->resize(random_, random_.below(2 * world_->set.count() + 3));
-    if (!resized && ledger.now().step && count(ledger)) return;
+    const std::vector<particles::Id> had(world_->set.id.begin(), world_->set.id.end());
+    if (ledger.now().step && chance(random_, 12)) world_->exchange(random_);
+    if (ledger.now().step && count(ledger, changes(had))) return;
     scene::Stepped stepped = ranks_.push(world_->set, step_, ledger.terms(seconds_));
     stepped.session = session_;
     stepped.step_seconds = seconds_;
@@ -149,8 +151,16 @@ class Life {
     reports_.push_back(to_json(*ledgers.take({"jet", std::move(stepped)}, 0)));
   }
 
+  // How many come and go; ids ascend.
+  Json changes(const std::vector<particles::Id>& had) const {
+    const auto now = world_->set.id.span();
+    std::vector<particles::Id> both;
+    std::ranges::set_intersection(now, had, std::back_inserter(both));
+    return {{"inserted", now.size() - both.size()}, {"removed", had.size() - both.size()}};
+  }
+
   // Whether the step needed no more than its count.
-  bool count(Ledger& ledger) {
+  bool count(Ledger& ledger, const Json& changes) {
     const scene::SceneState& now = ledger.now();
     const auto view = world_->set.view();
     Buffer<std::int32_t> part(view.count);
@@ -159,6 +169,7 @@ class Life {
     CountRequest request = count_rows(view, part.span(), 0, view.count, scale);
     request.json.update({{"session", session_}, {"step", step_}, {"epoch", now.epoch}});
     request.json.update({{"hash", wire::hex64(now.hash)}, {"incarnation", wire::hex64(now.incarnation)}});
+    request.json.update(changes);
     if (seconds_) request.json["step_seconds"] = *seconds_;
     auto record = scene::read_count(request.json, request.arrays);
     EXPECT_TRUE(record.ok()) << record.status().message();

@@ -46,14 +46,14 @@ inline scene::SceneOptions random_options(Random& random, int dims) {
   return options;
 }
 
-// Particles that drift, of which rows are added and taken away at the end.
+// Particles that drift, of which some go and others come.
 struct World {
   explicit World(Random& random) : dims(1 + static_cast<int>(random.below(3))) {
     set.dims = dims;
     set.has_weights = chance(random, 2);
     speed = one_of(random, {0.0, 0.002, 0.02, 0.2});
     grid = chance(random, 4) ? 8 : 0;
-    first_id = chance(random, 2) ? 0 : static_cast<particles::Id>(random.below(1000));
+    next_id = chance(random, 2) ? 0 : static_cast<particles::Id>(random.below(1000));
     resize(random, chance(random, 6) ? random.below(4) : 20 + random.below(100));
     weigh(random);
   }
@@ -62,9 +62,22 @@ struct World {
     set.resize(count);
     for (std::size_t i = before; i < count; ++i) {
       for (int a = 0; a < dims; ++a) set.position[static_cast<std::size_t>(a)][i] = random.uniform();
-      set.id[i] = first_id + static_cast<particles::Id>(i);
+      set.id[i] = next_id++;
       if (set.has_weights) set.weight[i] = 1;
     }
+  }
+  void exchange(Random& random) {
+    const auto go = one_of<std::uint64_t>(random, {1, 2, 20, 1000});
+    const auto come = one_of<std::uint64_t>(random, {1, 2, 10, 100});
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < set.count(); ++i) {
+      if (chance(random, go)) continue;
+      for (auto* axis = set.position.data(); axis != set.position.data() + dims; ++axis) (*axis)[kept] = (*axis)[i];
+      if (set.has_weights) set.weight[kept] = set.weight[i];
+      set.id[kept++] = set.id[i];
+    }
+    set.resize(kept);
+    resize(random, kept + random.below(come));
   }
   void weigh(Random& random) {
     const std::uint64_t kind = random.below(5);
@@ -90,7 +103,7 @@ struct World {
   ParticleSet set;
   double speed = 0;
   double grid = 0;  // positions on it have equal coordinates
-  particles::Id first_id = 0;
+  particles::Id next_id = 0;
 };
 
 // The ranks of a service, as one that holds all particles: what they do with a push.
@@ -175,8 +188,6 @@ class Ranks {
     Buffer<std::int32_t> part(count);
     tree_.classify(particles_.view(), part.span());
     report.drifted = differences(part, part_);
-    report.inserted = count - std::min(before, count);
-    report.removed = before - std::min(before, count);
     part_ = std::move(part);
     loads_ = loads_of_parts();
     report.error_before = loads_.error;

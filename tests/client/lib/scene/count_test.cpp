@@ -194,9 +194,9 @@ TEST(CountedStep, PushesWherePositionsAreWanted) {
   expect_count(of.fake.counted[2], 2, changed_between(1, 2));
 }
 
-// In the same order as before nobody needs to sum the ids again; in another the parts before are unknown, and what
-// comes or goes is pushed.
-TEST(CountedStep, OfOtherRowsIsCountedOrPushedAnew) {
+// In the same order as before nobody needs to sum the ids again; in another the parts before are unknown. What comes or
+// goes is counted, but where no ids tell which.
+TEST(CountedStep, OfOtherRowsIsCountedAnew) {
   Counting of;
   std::vector<std::int64_t> ids(kRowsCounted);
   std::iota(ids.begin(), ids.end(), 0);
@@ -211,14 +211,27 @@ TEST(CountedStep, OfOtherRowsIsCountedOrPushedAnew) {
   ASSERT_TRUE(of.scene->step(at(2), {.ids = ids}).ok());
   ids.pop_back();
   ids.back() = 9000;
-  const auto pushed = of.scene->step(at(3), {.ids = ids, .inserted = 1, .removed = 2});
-  ASSERT_TRUE(pushed.ok()) << pushed.status().message();
-  EXPECT_TRUE(pushed->report.sent);
+  const auto flowed = of.scene->step(at(3), {.ids = ids, .inserted = 1, .removed = 2});
+  ASSERT_TRUE(flowed.ok()) << flowed.status().message();
+  EXPECT_FALSE(flowed->report.sent);
+  ids.push_back(9001);
+  EXPECT_FALSE(of.scene->step(at(4), {.inserted = 1}).ok());
   of.end();
-  ASSERT_EQ(of.fake.counted.size(), 2U);
+  ASSERT_EQ(of.fake.counted.size(), 3U);
   expect_count(of.fake.counted[0], 1, changed_between(0, 1));
   expect_count(of.fake.counted[1], 2, nullptr);
-  EXPECT_EQ(of.fake.commits, 2);
+  for (const std::size_t k : {0U, 1U})
+    EXPECT_FALSE(of.fake.counted.at(k).json.contains("inserted") || of.fake.counted.at(k).json.contains("removed"));
+  const auto& json = of.fake.counted[2].json;
+  EXPECT_EQ(json["n"], kRowsCounted - 1);
+  EXPECT_EQ(json["inserted"], 1);
+  EXPECT_EQ(json["removed"], 2);
+  EXPECT_EQ(json["drifted"], nullptr);
+  std::uint64_t sum = 0;
+  for (std::size_t i = 0; i + 1 < ids.size(); ++i) sum += mix64(static_cast<std::uint64_t>(ids[i]));
+  EXPECT_EQ(json["id_sum"], protocol::hex64(sum));
+  EXPECT_EQ(of.fake.commits, 1);
+  EXPECT_EQ(of.fake.begun.size(), 2U);
 }
 
 TEST(CountedStep, WeightsAreSummedInTheScaleThatIsDue) {

@@ -319,7 +319,7 @@ TEST_F(Blocks, WhatMembersBringTogetherIsAsMuchAsBefore) {
   join();
   gateway(0, 6);
   gateway(1, 5);
-  for (int k = 0; k < 2; ++k) refused(k, "not_conserved", "11 particles pushed, scene 's' has 10");
+  for (int k = 0; k < 2; ++k) refused(k, "not_conserved", "11 particles brought, scene 's' has 10");
   // When all have begun, before rows have come.
   direct(0, {4, 0, 1}, {{"attempt", 2}, {"inserted", 2}});
   direct(1, {0, 3, 2}, {{"attempt", 2}, {"removed", 1}});

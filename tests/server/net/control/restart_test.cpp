@@ -14,7 +14,8 @@ using wire::Json;
 // Of two dimensions, without weights and ids.
 rcb::testing::World plain_world(Random& random) {
   for (;;)
-    if (rcb::testing::World world(random); world.dims == 2 && !world.set.has_weights && world.first_id == 0)
+    if (rcb::testing::World world(random);
+        world.dims == 2 && !world.set.has_weights && world.next_id == static_cast<particles::Id>(world.set.count()))
       return world;
 }
 
