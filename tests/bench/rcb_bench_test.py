@@ -229,20 +229,24 @@ class Drift(unittest.TestCase):
 
 class Idle(unittest.TestCase):
     def test_cpu_and_latency_are_told(self):
-        document, done = measure("idle", "--ranks", "2", "--seconds", "0.5", "--queries", "20", "--points", "1000")
+        document, done = measure("idle", "--ranks", "2", "--seconds", "0.5", "--queries", "20", "--points", "1000", "--counts", "50")
         row, = document["rows"]
         self.assertEqual([row["ranks"], row["n"], row["work"]], [2, 1000, "idle"])
         self.assertGreaterEqual(row["processes"], 3)  # the ranks and their launcher
         self.assertGreaterEqual(row["seconds"], 0.5)
         self.assertGreaterEqual(row["seconds_cpu"], 0)
         self.assertAlmostEqual(row["share_of_a_core"], row["seconds_cpu"] / row["seconds"])
+        self.assertEqual(row["counts"], 50)
+        self.assertGreater(row["seconds_of_counts"], 0)
+        for share in ("share_of_ranks_but_0", "share_of_ranks_but_0_in_counts"):
+            self.assertGreaterEqual(row[share], 0)
         self.assertEqual(set(row["seconds_of_a_query"]), {"status", "error", "counts", "owner", "box"})
         for name, query in row["seconds_of_a_query"].items():
             self.assertIn(name + " ms", done.stdout)
             self.assertTrue(0 < query["median"] <= query["most"])
 
     def test_bad_arguments(self):
-        for arguments in (["--ranks", "0"], ["--seconds", "0"], ["--queries", "0"], ["--points", "1.5"]):
+        for arguments in (["--ranks", "0"], ["--seconds", "0"], ["--queries", "0"], ["--counts", "0"], ["--points", "1.5"]):
             done = bench("idle", *arguments)
             self.assertEqual(done.returncode, 2, arguments)
             self.assertIn(arguments[0], done.stderr)

@@ -4,6 +4,7 @@ import re
 import socket
 
 import judge
+import seats_client
 from listener import Listener
 from machines import *
 
@@ -77,6 +78,33 @@ class HostsTest(MachinesTest):
                            "-x", "RCBD_ENDPOINT", "-x", "RCBD_TOKEN_FILE", os.path.join(self.bin, "slope_mpi"), *slope, "--check")
             self.assertEqual(done.returncode, 0, f"on {name}: {done.stdout}{done.stderr}\n{self.log()}")
         self.down()
+
+    def test_one_history_by_any_number_of_seats(self):
+        # Each sent in each step or counted, from all machines, to three of them and to one.
+        path = np.random.default_rng(11).random((400, 3)) + np.random.default_rng(12).normal(
+            [0.02, 0, 0], 0.01, (25, 400, 3)).cumsum(axis=0)
+        slope = ["--points", 1000, "--steps", 5, "--interval", 0.3, "--parts", 7, "--tolerance", 0.05, "--json"]
+        histories, slopes = [], []
+        for layout in ("a:2,b:2,c:1", "a:3"):
+            self.machines(3)
+            self.up("--hosts", layout, "--trusted-network")
+            for seats in (1, 2, 4, 7):
+                for positions in ("every-step", "when-needed"):
+                    with self.subTest(layout, seats=seats, positions=positions):
+                        told, sent = seats_client.history(
+                            path, TCP, "s", seats, positions, np.random.default_rng(seats), ("gateway", "direct"),
+                            network=lambda k: self.hosts.network("bca"[k % 3]), token=token_of(self.data),
+                            scene_options={"parts": 7, "tolerance": 0.05})
+                        histories.append(told)
+                        self.assertEqual(told, histories[0])
+                        self.assertTrue(sent == len(path) or 3 < sent < len(path) - 3, sent)
+            for seats, positions in ((1, "every-step"), (4, "when-needed"), (7, "when-needed")):
+                done = self.on("a", "mpirun", "--allow-run-as-root", "--bind-to", "none", "--oversubscribe", "--host",
+                               "a:3,b:2,c:2", "-n", seats, "-x", "RCBD_ENDPOINT", "-x", "RCBD_TOKEN_FILE",
+                               os.path.join(self.bin, "slope_mpi"), *slope, "--positions", positions, check=True)
+                slopes.append([[report[field] for field in seats_client.FIELDS] for report in json.loads(done.stdout)["reports"]])
+                self.assertEqual(slopes[-1], slopes[0])
+            self.down()
 
     def test_a_client_of_the_socket_reaches_ranks_on_other_machines(self):
         self.machines(2)

@@ -1,4 +1,5 @@
 """Life of the service: up and down, several beside each other, idle, clean ends, crashes, nothing left behind."""
+from protocol_client import Client, described
 from support import *
 
 
@@ -76,6 +77,24 @@ class Lifecycle(unittest.TestCase):
                   f"looks, and woken {max(rates.values()):.1f} times a second")
             self.assertLess(max(seen.values(), default=0), looks / 4, seen)
             self.assertLess(max(rates.values()), 50, rates)
+
+    def test_counts_wake_rank_0_alone(self):
+        with Service(4) as service, Client(service.endpoint[5:]) as client:
+            client.ask("scene.create", scene="s", parts=4, positions="when-needed")
+            client.push("s", 0, np.random.default_rng(1).random((400, 3)))
+            shown = client.ask("scene.show", scene="s")[0]
+            named = {name: shown[name] for name in ("incarnation", "epoch", "hash", "n")}
+            arrays, bulk = described({"part": range(4), "count": shown["counts"]}, {"part": "<i4", "count": "<u8"})
+            others = [one["pid"] for one in service.json("status")["hosts"]][1:]
+            time.sleep(1)  # what the step left behind
+            steps, before = 10000, wake_ups(others)
+            for step in range(1, steps + 1):
+                client.send({"command": "count", "scene": "s", "session": client.session, "step": step, "arrays": arrays, **named},
+                            bulk)
+                self.assertEqual(client.answer()[0]["report"]["way"], "count")
+            woken = {thread: times - before[thread] for thread, times in wake_ups(others).items()}
+            print(f"{steps} counts: no thread of another rank was woken more than {max(woken.values())} times")
+            self.assertLess(max(woken.values()), steps / 10, woken)  # signs of life, some a second
 
     def test_a_service_whose_rank_is_killed_comes_back_with_its_scenes(self):
         with Service(3) as service:

@@ -1,4 +1,5 @@
-// rcb_bench idle: what a service costs while its client says nothing, and how soon it answers then.
+// rcb_bench idle: what a service costs while its client says nothing, what its ranks but 0 cost while the client steps
+// by counts, and how soon it answers queries.
 //
 // Invariants
 // 1. The service is the real one: rcbd under mpirun by the launcher. A client of the library is connected and holds a
@@ -20,6 +21,7 @@ struct IdleOptions {
   std::vector<int> ranks{8};
   double seconds = 30;
   int queries = 200;  // of each kind
+  int counts = 10000;
   double points = 100000;
   std::string json;
 };
