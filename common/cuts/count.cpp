@@ -227,7 +227,7 @@ Status CountPass::add(std::size_t first, std::size_t count) {
   if (!pass_.read_rows(first, count, part))
     if (Status status = pass_.read(first, count, part); !status) return fault(first, count);
   if (hinted) sums_.drifted += differing(part, before_.data(), count);
-  if (options_.sum_ids && !options_.ids.empty())
+  if (options_.id_key && !options_.ids.empty())
     if (Status status = add_ids(first, count); !status) return status;
   add_parts(first, count);
   return std::exchange(wrong_weight_, false) ? fault(first, count) : Status();
@@ -283,7 +283,7 @@ void CountPass::scale(std::size_t first, std::size_t count) {
 Status CountPass::add_ids(std::size_t first, std::size_t count) {
   particles::Id sign = 0;
   for (const particles::Id id : options_.ids.subspan(first, count)) {
-    sums_.id_sum += mix64(static_cast<std::uint64_t>(id));
+    sums_.id_sum += mix64(static_cast<std::uint64_t>(id) + *options_.id_key);
     sign |= id;
   }
   return sign < 0 ? fault(first, count) : Status();

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -13,9 +14,9 @@
 namespace rcb::cuts {
 
 struct CountOptions : OwnerOptions {
-  std::span<const double> weights{};  // [count]; empty: none
-  int scale = 0;                      // of the loads: the exponent of an ExactScale
-  bool sum_ids = false;               // and check them; without ids nothing is summed
+  std::span<const double> weights{};      // [count]; empty: none
+  int scale = 0;                          // of the loads: the exponent of an ExactScale
+  std::optional<std::uint64_t> id_key{};  // sums ids with it, and checks them; without ids nothing is summed
 };
 
 struct Count {
@@ -26,7 +27,7 @@ struct Count {
   std::vector<u128> loads;
   double least = 0, greatest = 0;     // weight; 0 without any
   std::uint64_t weights_as_zero = 0;  // particles whose weight is above 0 and counts as 0 in this scale
-  std::uint64_t id_sum = 0;           // of mix64() of each id, mod 2^64
+  std::uint64_t id_sum = 0;           // of mix64(id + key), mod 2^64
   std::uint64_t drifted = 0;          // rows whose part is not that of last_part; 0 without
 };
 

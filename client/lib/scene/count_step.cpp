@@ -78,7 +78,7 @@ Status CountStep::count(const cuts::Cuts& cuts, const CountedRows& rows, std::op
   options.scale = scale.value_or(scale_.value_or(0));
   scale_told_ = scale_told_ || scale;
   for (bool again = false;; again = true) {
-    options.sum_ids = !id_sum_;
+    if (!id_sum_) options.id_key = 0;
     if (Status status = pass(cuts, rows, last, options); !status) return status;
     if (!id_sum_) id_sum_ = rows.ids.empty() ? sum_of_rows(count_.n) : count_.id_sum;
     const int due = count_.greatest > 0 ? ExactScale(count_.greatest, count_.n).exponent() : options.scale;

@@ -51,6 +51,8 @@ class CountStep {
   // Whether the parts are those of the rows of this step by these cuts.
   bool holds(const cuts::Cuts& cuts) const { return found_ && parts_by_ == name_of(cuts); }
   std::span<const std::int32_t> parts() const { return part_; }
+  // How many rows each part has.
+  std::span<const std::uint64_t> counts() const { return count_.counts; }
   // Of the rows of this step; none where the parts before aren't known.
   std::optional<std::uint64_t> drifted() const { return found_ ? drifted_ : std::nullopt; }
   // Sends the count until it is judged: the answer that commits the step, or none if its positions are to be pushed.

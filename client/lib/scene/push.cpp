@@ -7,7 +7,6 @@
 #include "client/lib/scene/scene.hpp"
 #include "client/lib/session/data_path.hpp"
 #include "client/lib/session/push_source.hpp"
-#include "common/base/count_groups.hpp"
 #include "common/layout/layout.hpp"
 
 namespace rcb::client {
@@ -51,17 +50,18 @@ RankRows Scene::State::rows_by_rank(const StepRequest& ask, bool grouped, std::s
     return rows;
   }
   const int parts = cuts_.known->parts();
-  std::vector<std::uint32_t> rank_of;  // by part
-  for (int part = 0; part < parts; ++part)
-    rank_of.push_back(static_cast<std::uint32_t>(layout::rank_of_part(part, parts, ranks)));
+  std::vector<std::size_t> rank_of;                                        // by part
+  std::vector<std::uint64_t> end(static_cast<std::size_t>(ranks) + 1, 0);  // of a rank's rows in the list; a 0 before
+  for (int part = 0; part < parts; ++part) {
+    rank_of.push_back(static_cast<std::size_t>(layout::rank_of_part(part, parts, ranks)));
+    end[rank_of.back() + 1] += counted_.counts()[rank_of.size() - 1];
+  }
+  std::partial_sum(end.begin(), end.end(), end.begin());
+  std::vector<std::uint64_t> next(end.begin(), end.end() - 1);
   const auto part = counted_.parts();
-  const auto rank_of_row = [&](std::size_t row) { return rank_of[static_cast<std::size_t>(part[row])]; };
-  const auto counts = count_groups(rank_of_row, static_cast<std::size_t>(ranks), count);
-  std::vector<std::uint64_t> next(counts.size(), 0);
-  std::exclusive_scan(counts.begin(), counts.end(), next.begin(), std::uint64_t{0});
-  for (std::size_t row = 0; row < count; ++row) list[next[rank_of_row(row)]++] = row;
-  for (std::size_t rank = 0; rank < counts.size(); ++rank)
-    rows.push_back(Rows::of(list.subspan(next[rank] - counts[rank], counts[rank])));
+  for (std::size_t row = 0; row < count; ++row) list[next[rank_of[static_cast<std::size_t>(part[row])]]++] = row;
+  for (std::size_t rank = 0; rank < next.size(); ++rank)
+    rows.push_back(Rows::of(list.subspan(end[rank], next[rank] - end[rank])));
   return rows;
 }
 

@@ -23,7 +23,7 @@ Response push(Context& context, Scene& scene, const wire::Json& request) {
   if (!staged.ok()) return failed(staged.status());
   const std::optional<std::int64_t> previous_step = scene.step;
   scene::Stepped stepped = commit(context, scene, *staged, *push);
-  give_back(context, scene, *staged);
+  give_back(context, scene, *staged, push->way);
   if (!previous_step || is_full_change(staged->sums.exported, scene.n)) return_freed_memory();
   if (!context.root()) return {};  // only rank 0's response is used
   Response response = done({{"report", to_json(stepped.report)}, {"previous_step", wire::or_null(previous_step)}});

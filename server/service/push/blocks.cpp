@@ -1,6 +1,7 @@
 #include "server/service/push/blocks.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cstring>
 #include <numeric>
 #include <string>
@@ -209,26 +210,23 @@ class Reader {
   Status read_shared(const PushSlice& slice, std::uint64_t count) {
     auto source = SharedSource::open(slice, set().dims);
     if (!source.ok()) return source.status();
-    particles::Id* const ids = set().id.data() + at_;
-    if (!counted_by_memory(slice)) {
-      const std::uint64_t first = layout::row_begin(comm_.rank(), slice.rows, comm_.size());
-      for (std::size_t a = 0; a < dims(); ++a) source->positions(a, first, count, set().position[a].data() + at_);
-      if (push_.weights) source->weights(first, count, set().weight.data() + at_);
-      if (push_.ids) source->ids(first, count, ids);
-      number_rows(first, count);
-      return {};
+    const std::uint64_t first = layout::row_begin(comm_.rank(), slice.rows, comm_.size());
+    // Some rows at a time: the axes of a row often lie together, and stay in the cache until all are read.
+    std::array<particles::Id, 1024> numbers;
+    for (std::uint64_t done = 0; done < count; done += numbers.size()) {
+      const std::span rows = std::span(numbers).first(std::min<std::uint64_t>(numbers.size(), count - done));
+      const std::uint64_t to = at_ + done;
+      if (!counted_by_memory(slice))
+        std::iota(rows.begin(), rows.end(), static_cast<particles::Id>(first + done));
+      else if (Status listed = source->rows(done, rows); !listed.ok())
+        return listed;
+      for (std::size_t a = 0; a < dims(); ++a) source->positions(a, rows, set().position[a].data() + to);
+      if (push_.weights) source->weights(rows, set().weight.data() + to);
+      if (push_.ids)
+        source->ids(rows, set().id.data() + to);
+      else
+        std::ranges::copy(rows, set().id.data() + to);
     }
-    Buffer<particles::Id> rows;
-    if (!rows.try_reserve(count))
-      return {Code::too_large, fmt::format("rank {} has no memory for a list of {} rows", comm_.rank(), count)};
-    rows.resize(count);
-    if (Status listed = source->rows(rows.data()); !listed.ok()) return listed;
-    for (std::size_t a = 0; a < dims(); ++a) source->positions(a, rows.span(), set().position[a].data() + at_);
-    if (push_.weights) source->weights(rows.span(), set().weight.data() + at_);
-    if (push_.ids)
-      source->ids(rows.span(), ids);
-    else
-      std::ranges::copy(rows, ids);
     return {};
   }
 

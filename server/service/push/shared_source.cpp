@@ -25,11 +25,6 @@ void read_rows(const std::byte* first, std::uint64_t stride, std::span<const par
   for (std::size_t i = 0; i < rows.size(); ++i) to[i] = kRead(first + static_cast<std::uint64_t>(rows[i]) * stride);
 }
 
-template <auto kRead, typename T>
-void read_range(const std::byte* first, std::uint64_t stride, std::uint64_t count, T* to) {
-  for (std::uint64_t i = 0; i < count; ++i) to[i] = kRead(first + i * stride);
-}
-
 }  // namespace
 
 Result<SharedSource> SharedSource::open(const PushSlice& slice, int dims) {
@@ -37,7 +32,6 @@ Result<SharedSource> SharedSource::open(const PushSlice& slice, int dims) {
   source.dims_ = dims;
   source.is_float32_ = slice.is_float32;
   source.rows_ = slice.rows;
-  source.listed_ = slice.count;
   source.keeps_ = slice.shared;
   for (std::size_t a = 0; a < slice.shared.size(); ++a) {
     const auto& [where, memory] = slice.shared[a];
@@ -59,11 +53,10 @@ Result<SharedSource> SharedSource::open(const PushSlice& slice, int dims) {
   return source;
 }
 
-Status SharedSource::rows(particles::Id* to) const {
-  read_range<read_i8>(row_.first, row_.stride, listed_, to);
-  const auto wrong = [this](particles::Id row) { return static_cast<std::uint64_t>(row) >= rows_; };
-  const particles::Id* const found = std::find_if(to, to + listed_, wrong);
-  if (found == to + listed_) return {};
+Status SharedSource::rows(std::uint64_t k, std::span<particles::Id> to) const {
+  for (particles::Id& row : to) row = read_i8(row_.first + k++ * row_.stride);
+  const auto found = std::ranges::find_if(to, [this](auto row) { return static_cast<std::uint64_t>(row) >= rows_; });
+  if (found == to.end()) return {};
   return {Code::invalid_argument,
           fmt::format("row {} is named, there are {}", static_cast<std::uint64_t>(*found), rows_)};
 }
@@ -73,26 +66,12 @@ void SharedSource::positions(std::size_t axis, std::span<const particles::Id> ro
   is_float32_ ? read_rows<read_f4>(first, stride, rows, to) : read_rows<read_f8>(first, stride, rows, to);
 }
 
-void SharedSource::positions(std::size_t axis, std::uint64_t first_row, std::uint64_t count, double* to) const {
-  const auto [first, stride] = axis_[axis];
-  const std::byte* const at = first + first_row * stride;
-  is_float32_ ? read_range<read_f4>(at, stride, count, to) : read_range<read_f8>(at, stride, count, to);
-}
-
 void SharedSource::weights(std::span<const particles::Id> rows, double* to) const {
   read_rows<read_f8>(weight_.first, weight_.stride, rows, to);
 }
 
-void SharedSource::weights(std::uint64_t first_row, std::uint64_t count, double* to) const {
-  read_range<read_f8>(weight_.first + first_row * weight_.stride, weight_.stride, count, to);
-}
-
 void SharedSource::ids(std::span<const particles::Id> rows, particles::Id* to) const {
   read_rows<read_i8>(id_.first, id_.stride, rows, to);
-}
-
-void SharedSource::ids(std::uint64_t first_row, std::uint64_t count, particles::Id* to) const {
-  read_range<read_i8>(id_.first + first_row * id_.stride, id_.stride, count, to);
 }
 
 void SharedSource::prefetch(std::span<const particles::Id> rows) const {

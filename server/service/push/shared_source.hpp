@@ -25,14 +25,11 @@ class SharedSource {
 
   // Copies the positions on `axis` of these rows.
   void positions(std::size_t axis, std::span<const particles::Id> rows, double* to) const;
-  void positions(std::size_t axis, std::uint64_t first_row, std::uint64_t count, double* to) const;
   void weights(std::span<const particles::Id> rows, double* to) const;
-  void weights(std::uint64_t first_row, std::uint64_t count, double* to) const;
   void ids(std::span<const particles::Id> rows, particles::Id* to) const;
-  void ids(std::uint64_t first_row, std::uint64_t count, particles::Id* to) const;
-  // The slice's share of the array "row": the rows of this rank's particles. Errors: invalid_argument (there is no such
+  // Of the slice's share of the array "row", some elements from the k-th on. Errors: invalid_argument (there is no such
   // row).
-  Status rows(particles::Id* to) const;
+  Status rows(std::uint64_t k, std::span<particles::Id> to) const;
   // Has the memory fetch the positions of rows that will be read soon. Without effect where they follow one another,
   // since the processor then fetches them by itself.
   void prefetch(std::span<const particles::Id> rows) const;
@@ -46,7 +43,6 @@ class SharedSource {
   int dims_ = 3;
   bool is_float32_ = false;
   std::uint64_t rows_ = 0;
-  std::uint64_t listed_ = 0;  // in the slice's share of "row"
   std::array<Column, 3> axis_;
   Column weight_, id_, row_;
   std::vector<api::SharedColumn> keeps_;  // the memory

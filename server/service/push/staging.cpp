@@ -1,6 +1,7 @@
 #include "server/service/push/staging.hpp"
 
 #include <algorithm>
+#include <numeric>
 #include <utility>
 
 #include <fmt/format.h>
@@ -42,8 +43,7 @@ void add_up(comm::Comm& comm, const std::vector<std::uint64_t>& exports, RankOf 
   const auto ranks = static_cast<std::size_t>(comm.size());
   const std::size_t pairs = comm.size() <= StepSums::kRanksMax ? ranks * ranks : 0;
   std::vector<std::uint64_t> cells{sums.faults,    sums.rows,   sums.drifted,
-                                   sums.strangers, sums.id_sum, sums.faults > 0 ? 0 : exports.size(),
-                                   sums.keyed_sum};
+                                   sums.strangers, sums.id_sum, sums.faults > 0 ? 0 : exports.size()};
   const std::size_t fixed = cells.size();
   cells.resize(fixed + pairs);
   if (pairs > 0 && sums.faults == 0)
@@ -52,7 +52,7 @@ void add_up(comm::Comm& comm, const std::vector<std::uint64_t>& exports, RankOf 
   cells.insert(cells.end(), sums.counts.begin(), sums.counts.end());
   comm.all_sum(cells);
   sums.faults = cells[0], sums.rows = cells[1], sums.drifted = cells[2];
-  sums.strangers = cells[3], sums.id_sum = cells[4], sums.exported = cells[5], sums.keyed_sum = cells[6];
+  sums.strangers = cells[3], sums.id_sum = cells[4], sums.exported = cells[5];
   const auto matrix = cells.begin() + static_cast<std::ptrdiff_t>(fixed);
   sums.from_to.assign(matrix, matrix + static_cast<std::ptrdiff_t>(pairs));
   std::copy(matrix + static_cast<std::ptrdiff_t>(pairs), cells.end(), sums.counts.begin());
@@ -69,28 +69,34 @@ int member_of(const std::vector<Run>& runs, std::size_t i) {
   return 0;
 }
 
+// Whether the rows must be the particles that the ranks hold.
+bool stays_same(const Scene& scene, const PushRequest& push) {
+  return scene.epoch > 0 && scene.n > 0 && push.inserted == 0 && push.removed == 0 && !push.counted_ids;
+}
+
+// Whether the client says which particle a row is, and so may name one twice.
+bool names_rows(const PushRequest& push) {
+  return push.ids || std::ranges::any_of(push.blocks, [](const Block& block) {
+           return block.way == api::Way::shared_memory && !block.counts.empty();
+         });
+}
+
 // What the rows must be besides good values. Collective.
 Status check_identity(comm::Comm& comm, const Scene& scene, const PushRequest& push, const std::vector<Run>& runs,
                       Staged& staged) {
   if (staged.sums.rows != push.n)
     return {Code::internal, fmt::format("the ranks have read {} rows of {}", staged.sums.rows, push.n)};
-  const bool first = scene.epoch == 0 || scene.n == 0;
-  const bool same = !first && push.inserted == 0 && push.removed == 0;
-  const bool held = same && !push.counted_ids;  // it is the ranks who know the particles
-  const auto sum = push.counted_ids ? push.counted_ids : scene.id_sum;
-  const bool other_sum = sum && *sum != staged.sums.id_sum;
-  if (same && (other_sum || (held && scene.key.key && scene.key.sum != staged.sums.keyed_sum)))
-    return {
-        Code::not_conserved,
-        fmt::format("the ids pushed have the sum {}, those of scene '{}' have {}: they are other particles, or some "
-                    "are missing and others come twice",
-                    wire::hex64(staged.sums.id_sum), scene.name, wire::hex64(sum.value_or(0))),
-        "push each particle once, by its id; say how many come ('inserted') and go ('removed')"};
-  staged.ids = held && scene.ids;
-  const bool listed = std::ranges::any_of(push.blocks, [](const Block& block) {
-    return block.way == api::Way::shared_memory && !block.counts.empty();  // a row may stand there twice
-  });
-  if ((!push.ids && !listed) || (held && scene.key.key && scene.id_sum)) return {};
+  if (staged.same && !names_rows(push)) return {};
+  const bool flows = push.inserted > 0 || push.removed > 0;
+  const auto expected = staged.same ? std::optional(scene.key.sum) : push.counted_ids ? push.counted_ids : scene.id_sum;
+  if (scene.epoch > 0 && scene.n > 0 && !flows && expected && *expected != staged.sums.id_sum)
+    return {Code::not_conserved,
+            fmt::format("the ids pushed aren't those of scene '{}': they are other particles, or some are missing and "
+                        "others come twice",
+                        scene.name),
+            "push each particle once, by its id; say how many come ('inserted') and go ('removed')"};
+  staged.ids = stays_same(scene, push) && scene.ids;
+  if (staged.same || !names_rows(push)) return {};
   return check_distinct(comm, push.members, runs, staged.arrays.id.span(), push.n, staged.ids);
 }
 
@@ -114,18 +120,19 @@ Status find_parts(const comm::Comm& comm, Scene& scene, const PushRequest& push,
   if (hinted > 0) std::fill(staged.part.begin() + hinted, staged.part.end(), staged.part[hinted - 1]);
   cuts::CountOptions options;
   options.ids = staged.arrays.id.span();
-  options.sum_ids = true;
+  if (!staged.same || names_rows(push)) options.id_key = staged.same ? *scene.key.key : 0;
   if (hinted > 0) options.last_part = staged.part.span();
   if (push.weights) options.weights = staged.arrays.weight.span();
   const auto positions = cuts::Positions::axes(std::span(view.position.data(), dims), view.count);
   auto counted = cuts::count(scene.snapshot(), positions, options, staged.part.span());
   if (!counted.ok()) return counted.status();
   staged.sums.id_sum = counted->id_sum;
-  if (scene.key.key) staged.sums.keyed_sum = sum_ids(staged.arrays.id.span(), *scene.key.key);
-  if (!staged.sums.counts.empty()) staged.sums.counts = std::move(counted->counts);
   const layout::PartRange own = layout::parts_of_rank(comm.rank(), scene.options.parts, comm.size());
-  for (std::size_t i = 0; i < view.count; ++i)
-    if (!own.has(staged.part[i])) staged.exports.push_back(i);
+  const auto first_own = counted->counts.begin() + own.begin;
+  if (std::accumulate(first_own, first_own + (own.end - own.begin), std::uint64_t{0}) < view.count)
+    for (std::size_t i = 0; i < view.count; ++i)
+      if (!own.has(staged.part[i])) staged.exports.push_back(i);
+  if (!staged.sums.counts.empty()) staged.sums.counts = std::move(counted->counts);
   if (push.members > 1)
     for (const Run& run : runs) {
       const layout::PartRange parts = layout::parts_of_rank(run.member, scene.options.parts, push.members);
@@ -142,6 +149,7 @@ Status prepare_new(Context& context, Scene& scene, const PushRequest& push, Stag
   if (!arrived.ok()) return arrived.status();
   staged.arrays = std::move(arrived->set);
   staged.took_slice = arrived->took_slice;
+  staged.same = stays_same(scene, push) && scene.key.key;
   const std::uint64_t mine = staged.arrays.count();
   Status ready = room_for_step(comm, scene, staged, mine);
   StepSums& sums = staged.sums;
@@ -260,16 +268,16 @@ Status check_distinct(comm::Comm& comm, int members, const std::vector<Run>& run
           "ids must be distinct"};
 }
 
-void give_back(Context& context, Scene& scene, Staged& staged) {
+void give_back(Context& context, Scene& scene, Staged& staged, api::Way way) {
   std::vector<Buffer<std::byte>> buffers;
   for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
     buffers.push_back(staged.arrays.position[a].release_as<std::byte>());
   if (staged.arrays.weight.capacity() > 0) buffers.push_back(staged.arrays.weight.release_as<std::byte>());
   if (staged.arrays.id.capacity() > 0) buffers.push_back(staged.arrays.id.release_as<std::byte>());
-  if (!staged.took_slice)
-    scene.spare = std::move(buffers);
-  else
+  if (staged.took_slice)
     context.spares.push_back({scene.name, std::move(buffers)});
+  else if (way == api::Way::shared_memory)
+    scene.spare = std::move(buffers);
 }
 
 Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) {

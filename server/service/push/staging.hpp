@@ -23,8 +23,7 @@ struct StepSums {
   std::uint64_t rows = 0;              // read
   std::uint64_t drifted = 0;           // particles that left the part in which the ranks held them
   std::uint64_t strangers = 0;         // rows outside their member's parts
-  std::uint64_t id_sum = 0;            // of a new set: of mix64(id)
-  std::uint64_t keyed_sum = 0;         // likewise, of mix64(id + key)
+  std::uint64_t id_sum = 0;            // of a new set: of mix64(id), or mix64(id + key) where that is compared
   std::uint64_t exported = 0;          // particles whose part another rank owns
   std::vector<std::uint64_t> from_to;  // [from][to]: of these; empty above kRanksMax
   // By part: how many particles a new set has, or else by how many there are more, mod 2^64; empty above kPartsMax,
@@ -36,6 +35,7 @@ struct Staged {
   std::uint64_t n = 0;
   bool ids = false;   // they aren't 0..n-1
   bool held = false;  // `arrays` are new values of the particles that the rank holds; else a new set of them
+  bool same = false;  // of the very particles of the last step, as is known by the scene's key
   particles::ParticleSet arrays;       // this rank's; of held particles without ids, weights only if sent
   Buffer<std::int32_t> part;           // of a new set, under the cuts in force; empty without cuts
   Scan scan;                           // of held particles
@@ -54,8 +54,9 @@ struct Staged {
 // not_conserved, duplicate_id, too_large.
 Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push);
 
-// Gives the memory that the commit swapped out to the next push, so that a step touches no fresh memory. Local.
-void give_back(Context& context, Scene& scene, Staged& staged);
+// Gives the memory that the commit swapped out to the next push, so that a step touches no fresh memory; frees it where
+// rows also lay in other memory before they came here. Local.
+void give_back(Context& context, Scene& scene, Staged& staged, api::Way way);
 
 // The sum of mix64(id + key). Local.
 std::uint64_t sum_ids(std::span<const particles::Id> ids, std::uint64_t key);

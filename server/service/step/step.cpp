@@ -34,11 +34,8 @@ void take_set(Context& context, Scene& scene, Staged& staged) {
   scene.n = staged.n;
   scene.ids = staged.ids;
   scene.pushed = true;
+  if (staged.same) return;
   scene.id_sum = staged.sums.id_sum;
-  if (scene.key.key) {
-    scene.key.sum = staged.sums.keyed_sum;
-    return;
-  }
   std::uint64_t key = 0;
   if (context.root()) key = (std::uint64_t{std::random_device()()} << 32U) + std::random_device()();
   context.comm.broadcast(std::as_writable_bytes(std::span(&key, 1)), 0);
@@ -177,6 +174,8 @@ bool later_step(Context& context, Scene& scene, Staged& staged, const PushReques
   report.strangers = staged.sums.strangers;
   report.drifted_known = staged.held || push.drifted.has_value();
   report.drifted = staged.held ? staged.sums.drifted : push.drifted.value_or(0);
+  const bool full_change = is_full_change(staged.sums.exported, scene.n);
+  if (full_change) staged.arrays = {};  // it needs memory itself
   const double error_before = scene.loads.error;
   report.error_before = error_before;
   // Cuts made without particles divide nothing, so they are searched anew, whatever the policy.
@@ -184,7 +183,7 @@ bool later_step(Context& context, Scene& scene, Staged& staged, const PushReques
                                                      : decide_step(scene.options, scene.loads, push.terms);
   report.reason = decision.reason;
   // An incremental search pays where nearly all particles are on the ranks that own their parts.
-  if (decision.search && is_full_change(staged.sums.exported, scene.n)) {
+  if (decision.search && full_change) {
     send_exports(context.comm, scene, std::exchange(staged.exports, {}), staged.sums.exported, staged.sums.from_to);
     staged.sums.exported = 0;
     staged.scan.ranges = {};

@@ -72,7 +72,7 @@ class CountTrial {
                                                         : Positions::axes(axes, n());
     CountOptions options;
     if (random_.below(2) == 0) options.ids = share_.particles.id.span();
-    options.sum_ids = random_.below(2) == 0;
+    if (random_.below(2) == 0) options.id_key = random_.below(2) * random_.next();
     if (share_.particles.has_weights) options.weights = share_.particles.weight.span();
     options.threads = 1 + static_cast<int>(random_.below(3));
     judge(options);
@@ -92,7 +92,7 @@ class CountTrial {
     EXPECT_EQ(found->least, expected_.least);
     EXPECT_EQ(found->greatest, expected_.greatest);
     EXPECT_EQ(found->weights_as_zero, expected_.weights_as_zero);
-    EXPECT_EQ(found->id_sum, options.sum_ids && !options.ids.empty() ? expected_.id_sum : 0);
+    EXPECT_EQ(found->id_sum, options.id_key && !options.ids.empty() ? expected_.id_sum : 0);
     std::uint64_t drifted = 0;
     for (std::size_t i = 0; i < n() && hint > 0; ++i) drifted += before_[i] != part_[i] ? 1U : 0U;
     EXPECT_EQ(found->drifted, drifted);
@@ -146,7 +146,7 @@ class CountTrial {
       const Id id = options.ids.empty() ? static_cast<Id>(i) : view.id[i];
       part_.push_back(tree_.part_of(view.point(i), id));
       ++expected_.counts[at(part_[i])];
-      expected_.id_sum += mix64(static_cast<std::uint64_t>(view.id[i]));
+      expected_.id_sum += mix64(static_cast<std::uint64_t>(view.id[i]) + options.id_key.value_or(0));
       if (options.weights.empty()) continue;
       const u128 load = scale(options.weights[i]);
       expected_.loads[at(part_[i])] += load;
@@ -181,7 +181,7 @@ class CountTrial {
       if (kind == 1 && !weights.empty()) {
         weights[i] = wrong[random_.below(4)];
         what = fmt::format("weight is {}", weights[i]);
-      } else if (kind == 2 && !options.ids.empty() && options.sum_ids) {
+      } else if (kind == 2 && !options.ids.empty() && options.id_key) {
         ids[i] = -static_cast<Id>(1 + random_.below(9));
         what = fmt::format("id is {}", ids[i]);
       } else {

@@ -38,12 +38,12 @@ TEST(Blocks, NothingIsLostOrDoubled) {
       refused(particles, {"61"}, flow(1, 62));
       Particles other = particles;
       other.ids[17] = 7;
-      refused(other, {"sum"}, flow(0, 0));
+      refused(other, {"other particles"}, flow(0, 0));
       other.ids[17] = other.ids[18];  // one twice, another not at all
-      refused(other, {"sum"}, flow(0, 0));
+      refused(other, {"other particles"}, flow(0, 0));
       scene.taken(fewer, dealt(comm, fewer, path), 1, true, 0, flow(0, 1));
       scene.taken(particles, shares(comm, particles, 2, path), 2, true, 2, flow(1, 0));
-      scene.refused(Code::not_conserved, {"sum"}, other, dealt(comm, other, path), 3, true, 0);
+      scene.refused(Code::not_conserved, {"other particles"}, other, dealt(comm, other, path), 3, true, 0);
     }
   });
 }
