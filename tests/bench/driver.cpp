@@ -102,19 +102,23 @@ TemporaryFolder::~TemporaryFolder() {
   if (!path_.empty()) fs::remove_all(path_, ignored);
 }
 
+Status run_command(const std::string& folder, std::vector<std::string> command, int ranks, const std::string& growing,
+                   double stall_seconds, int output) {
+  launch::JobSpec spec;
+  spec.ranks = ranks;
+  spec.command = std::move(command);
+  launch::Job job(spec, folder, output);
+  const Status status = job.start(false);
+  return status.ok() ? await(job, growing, stall_seconds) : status;
+}
+
 Status run_job(const std::string& folder, const char* word, int ranks, double stall_seconds, Json& rows) {
   const std::string rows_path = folder + "/rows";
   std::error_code ignored;
   fs::remove(rows_path, ignored);
-  launch::JobSpec spec;
-  spec.ranks = ranks;
-  spec.command = {fs::read_symlink("/proc/self/exe", ignored).string(), word, folder + "/plan", rows_path};
-  Status status;
-  {
-    launch::Job job(spec, folder, STDERR_FILENO);
-    status = job.start(false);
-    if (status.ok()) status = await(job, rows_path, stall_seconds);
-  }
+  const std::string self = fs::read_symlink("/proc/self/exe", ignored).string();
+  const Status status =
+      run_command(folder, {self, word, folder + "/plan", rows_path}, ranks, rows_path, stall_seconds, STDERR_FILENO);
   std::ifstream in(rows_path);
   for (std::string line; std::getline(in, line);) {
     Json row = Json::parse(line, nullptr, false);

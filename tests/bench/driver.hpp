@@ -31,6 +31,10 @@ class TemporaryFolder {
 // Before the first run_job: signals end it, and ranks whose mpirun died are found.
 void prepare_jobs();
 bool interrupted();  // by a signal since then
+// One MPI job of a command, whose output goes to the descriptor. It is killed when `growing`, a file, has not grown for
+// so long. Errors: as run_jobs().
+Status run_command(const std::string& folder, std::vector<std::string> command, int ranks, const std::string& growing,
+                   double stall_seconds, int output);
 // One MPI job of this program, `word` before its arguments: the plan in `folder`, and the file that it writes rows to,
 // which are added to `rows` also where it fails. Errors: as run_jobs().
 Status run_job(const std::string& folder, const char* word, int ranks, double stall_seconds, Json& rows);

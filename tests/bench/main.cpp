@@ -11,6 +11,7 @@
 #include "tests/bench/driver.hpp"
 #include "tests/bench/dynamic/dynamic.hpp"
 #include "tests/bench/dynamic/dynamic_peers.hpp"
+#include "tests/bench/dynamic/slope.hpp"
 #include "tests/bench/figure.hpp"
 #include "tests/bench/json.hpp"
 #include "tests/bench/options.hpp"
@@ -144,9 +145,9 @@ std::string examples(const std::string& subcommand) {
   for (const std::string line :
        {"static --json static.json --figure static.svg", "static --scenes uniform,offset --parts 8 --ranks 2",
         "static --ranks 2 --parts 8,64 --methods rcb --cut-tolerances 0 --points 1e6,2e6,4e6,8e6,16e6",
-        "scaling --json scaling.json", "dynamic --json dynamic.json --figure dynamic.svg", "step --json step.json",
-        "memory --points 10000000 --ranks 2 --json memory.json", "skips --json skips.json", "drift --json drift.json",
-        "cuts --parts 64 --json cuts.json", "idle --ranks 8",
+        "scaling --json scaling.json", "dynamic --json dynamic.json --figure dynamic.svg", "slope --json slope.json",
+        "step --json step.json", "memory --points 10000000 --ranks 2 --json memory.json", "skips --json skips.json",
+        "drift --json drift.json", "cuts --parts 64 --json cuts.json", "idle --ranks 8",
         "hosts --hosts 2,3 --latency 0.5,5 --bandwidth 10,1 --json hosts.json"})
     if (line.starts_with(subcommand)) text += "  rcb_bench " + line + '\n';
   return text;
@@ -178,6 +179,8 @@ int drive(int argc, char** argv) {
   add_list(*scaling, "--points", of_scaling.points, "numbers of points; all parts are run with the first");
   DynamicOptions of_dynamic;
   const auto* dynamic = add_dynamic(app, of_dynamic);
+  SlopeBenchOptions of_slope;
+  const auto* slope = add_slope(app, of_slope);
   StepBenchOptions of_step;
   const auto* step = add_step(app, of_step);
   MemoryOptions of_memory;
@@ -202,6 +205,7 @@ int drive(int argc, char** argv) {
     if (cuts->parsed()) return run_cuts(of_cuts, start_document("cuts", of_cuts.repeats));
     if (idle->parsed()) return run_idle(of_idle, start_document("idle", 1));
     if (drift->parsed()) return run_drift(of_drift, start_document("drift", of_drift.repeats));
+    if (slope->parsed()) return run_slope(of_slope, start_document("slope", of_slope.repeats));
     if (step->parsed()) return run_step(of_step, start_document("step", of_step.repeats));
     if (memory->parsed()) return run_memory(of_memory, start_document("memory", 1));
     if (skips->parsed()) return run_skips(of_skips, start_document("skips", of_skips.repeats));

@@ -51,10 +51,21 @@ class SlopeMpi(unittest.TestCase):
         self.assertGreater(four["handed_over"], POINTS // 2)
         self.assertEqual(alone["handed_over"], 0)
         self.assertGreater(four["repartitions"], 1)
+        self.assertGreater(min(four["by_step"]["shared_nodes"][1:]), 0)
+        self.assertEqual(sum(alone["by_step"]["grid_bytes"]), 0)
         # The same particles by one client: the same cuts.
         plain = [(r["error"], r["repartitioned"], r["drifted"]) for r in alone["reports"]]
         self.assertEqual(len(plain), STEPS + 1)
         self.assertEqual([r["n"] for r in four["reports"]], [POINTS] * (STEPS + 1))
+
+    def test_bands_and_steps_that_are_counted(self):
+        sent, path = self.run_on(3, "sent", "--method", "bands-x")
+        counted, path_of_counted = self.run_on(3, "counted", "--method", "bands-x", "--positions", "when-needed")
+        self.assertEqual(self.service.json("scene", "show", "sent")["method"], "bands-x")
+        np.testing.assert_array_equal(path_of_counted, path)
+        self.assertIn(False, [report["sent"] for report in counted["reports"]])
+        for field in ("held", "handed_over", "energy", "momentum", "error_max", "repartitions"):
+            self.assertEqual(counted[field], sent[field], field)
 
     def test_a_solver_that_is_killed_leaves_the_scene_to_the_next(self):
         running = solver(self.service, 2, "--steps", 100000, "--scene", "killed", wait=False)

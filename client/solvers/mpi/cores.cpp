@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <ctime>
 #include <limits>
 #include <numeric>
 #include <string>
@@ -39,7 +40,7 @@ void for_each_row(Mpm& mpm, const NodeBox& box, const Apply& apply) {
       if (length > 0) apply(&mpm.grid()[(i * nodes[1] + j) * nodes[2] + box.first[2]], length);
 }
 
-Node* add_rows(Mpm& mpm, const NodeBox& box, Node* from) {
+const Node* add_rows(Mpm& mpm, const NodeBox& box, const Node* from) {
   for_each_row(mpm, box, [&from](Node* to, std::size_t length) {
     for (std::size_t k = 0; k < length; ++k, ++from)
       for (std::size_t a = 0; a < kNodeDoubles; ++a) to[k].value[a] += from->value[a];
@@ -49,6 +50,16 @@ Node* add_rows(Mpm& mpm, const NodeBox& box, Node* from) {
 
 void copy_rows(Mpm& mpm, const NodeBox& box, std::vector<Node>& to) {
   for_each_row(mpm, box, [&to](const Node* from, std::size_t length) { to.insert(to.end(), from, from + length); });
+}
+
+// How many nodes of the box have mass here and in `other`, the rows of another process.
+std::size_t count_shared(Mpm& mpm, const NodeBox& box, const Node* other) {
+  std::size_t count = 0;
+  for_each_row(mpm, box, [&](const Node* own, std::size_t length) {
+    for (std::size_t k = 0; k < length; ++k, ++other)
+      if (own[k].value[3] > 0 && other->value[3] > 0) ++count;
+  });
+  return count;
 }
 
 // Counts and displacements for MPI_Alltoallv.
@@ -65,6 +76,12 @@ struct Layout {
   }
 };
 
+double processor_seconds() {
+  timespec now{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+}
+
 }  // namespace
 
 MpiCores::MpiCores(MPI_Comm comm) : comm_(comm) {
@@ -72,9 +89,18 @@ MpiCores::MpiCores(MPI_Comm comm) : comm_(comm) {
   MPI_Comm_size(comm_, &size_);
 }
 
+double MpiCores::computing() const { return processor_seconds() - seconds_in_mpi_; }
+
+template <typename Call>
+void MpiCores::in_mpi(const Call& call) {
+  const double begin = processor_seconds();
+  call();
+  seconds_in_mpi_ += processor_seconds() - begin;
+}
+
 Result<double> MpiCores::signal_speed(const Mpm& mpm, const Result<double>& mine) {
   std::array<double, 3> values{mine ? 0.0 : 1.0, mpm.wave_speed(), mpm.point_speed()};
-  MPI_Allreduce(MPI_IN_PLACE, values.data(), 3, MPI_DOUBLE, MPI_MAX, comm_);
+  in_mpi([&] { MPI_Allreduce(MPI_IN_PLACE, values.data(), 3, MPI_DOUBLE, MPI_MAX, comm_); });
   if (values[0] > 0) return agree(mine.status());
   return values[1] + values[2];
 }
@@ -85,7 +111,7 @@ void MpiCores::sum_grid(Mpm& mpm) {
   std::vector<NodeBox> boxes(ranks);
   boxes[me] = mpm.touched();
   static_assert(sizeof(NodeBox) == 6 * sizeof(std::uint64_t));
-  MPI_Allgather(MPI_IN_PLACE, 0, MPI_DATATYPE_NULL, boxes.data(), 6, MPI_UINT64_T, comm_);
+  in_mpi([&] { MPI_Allgather(MPI_IN_PLACE, 0, MPI_DATATYPE_NULL, boxes.data(), 6, MPI_UINT64_T, comm_); });
   std::vector<Node> sent;
   std::vector<std::size_t> counts(ranks, 0);
   for (std::size_t r = 0; r < ranks; ++r) {
@@ -96,12 +122,22 @@ void MpiCores::sum_grid(Mpm& mpm) {
   }
   const Layout layout(counts);  // the same for sending and receiving
   std::vector<Node> received(sent.size());
-  MPI_Alltoallv(sent.data(), layout.count.data(), layout.first.data(), MPI_DOUBLE, received.data(), layout.count.data(),
-                layout.first.data(), MPI_DOUBLE, comm_);
+  in_mpi([&] {
+    MPI_Alltoallv(sent.data(), layout.count.data(), layout.first.data(), MPI_DOUBLE, received.data(),
+                  layout.count.data(), layout.first.data(), MPI_DOUBLE, comm_);
+  });
+  work_.grid_bytes += static_cast<double>(sent.size() * sizeof(Node));
+  const Node* next = received.data();
+  for (std::size_t r = 0; r < ranks; ++r)
+    if (r != me) {
+      const NodeBox common = overlap(boxes[me], boxes[r]);
+      work_.shared_nodes += static_cast<double>(count_shared(mpm, common, next));
+      next += nodes_in(common);
+    }
   std::vector<Node> own;
   copy_rows(mpm, boxes[me], own);
   for_each_row(mpm, boxes[me], [](Node* to, std::size_t length) { std::fill(to, to + length, Node{}); });
-  Node* next = received.data();
+  next = received.data();
   for (std::size_t r = 0; r < ranks; ++r) {
     if (r == me)
       add_rows(mpm, boxes[me], own.data());
@@ -112,7 +148,7 @@ void MpiCores::sum_grid(Mpm& mpm) {
 
 Status MpiCores::agree(const Status& mine) {
   int first = mine.ok() ? size_ : rank_;
-  MPI_Allreduce(MPI_IN_PLACE, &first, 1, MPI_INT, MPI_MIN, comm_);
+  in_mpi([&] { MPI_Allreduce(MPI_IN_PLACE, &first, 1, MPI_INT, MPI_MIN, comm_); });
   if (first == size_) return {};
   std::array<std::uint64_t, 3> head{static_cast<std::uint64_t>(mine.code()), mine.message().size(), mine.hint().size()};
   MPI_Bcast(head.data(), 3, MPI_UINT64_T, first, comm_);
@@ -124,6 +160,7 @@ Status MpiCores::agree(const Status& mine) {
 
 void MpiCores::hand_over(Mpm& mpm, std::span<const client::LeavingRow> leaving) {
   const auto ranks = static_cast<std::size_t>(size_);
+  work_.handed_over += static_cast<double>(leaving.size());
   std::vector<std::vector<PointState>> to(ranks);
   std::vector<std::size_t> rows;  // ascending
   for (const client::LeavingRow& one : leaving) {
@@ -136,15 +173,17 @@ void MpiCores::hand_over(Mpm& mpm, std::span<const client::LeavingRow> leaving) 
     going[r] = to[r].size();
     sent.insert(sent.end(), to[r].begin(), to[r].end());
   }
-  MPI_Alltoall(going.data(), 1, MPI_UINT64_T, coming.data(), 1, MPI_UINT64_T, comm_);
+  in_mpi([&] { MPI_Alltoall(going.data(), 1, MPI_UINT64_T, coming.data(), 1, MPI_UINT64_T, comm_); });
   std::vector<PointState> arrived(std::accumulate(coming.begin(), coming.end(), std::size_t{0}));
   MPI_Datatype point = MPI_DATATYPE_NULL;
   MPI_Type_contiguous(static_cast<int>(sizeof(PointState)), MPI_BYTE, &point);
   MPI_Type_commit(&point);
   const Layout out({going.begin(), going.end()});
   const Layout in({coming.begin(), coming.end()});
-  MPI_Alltoallv(sent.data(), out.count.data(), out.first.data(), point, arrived.data(), in.count.data(),
-                in.first.data(), point, comm_);
+  in_mpi([&] {
+    MPI_Alltoallv(sent.data(), out.count.data(), out.first.data(), point, arrived.data(), in.count.data(),
+                  in.first.data(), point, comm_);
+  });
   MPI_Type_free(&point);
   std::sort(arrived.begin(), arrived.end(), [](const PointState& a, const PointState& b) { return a.id < b.id; });
   mpm.exchange(rows, arrived);
@@ -178,10 +217,16 @@ Balance MpiCores::sum(const Balance& mine) {
   return all;
 }
 
-double MpiCores::largest(double mine) {
-  MPI_Allreduce(MPI_IN_PLACE, &mine, 1, MPI_DOUBLE, MPI_MAX, comm_);
+std::vector<Work> MpiCores::reduce(std::vector<Work> mine, MPI_Op op) {
+  constexpr std::size_t kWorkDoubles = 6;
+  static_assert(sizeof(Work) == kWorkDoubles * sizeof(double));
+  const Layout all({kWorkDoubles * mine.size()});
+  MPI_Allreduce(MPI_IN_PLACE, mine.data(), all.count[0], MPI_DOUBLE, op, comm_);
   return mine;
 }
+
+std::vector<Work> MpiCores::sum(std::vector<Work> mine) { return reduce(std::move(mine), MPI_SUM); }
+std::vector<Work> MpiCores::largest(std::vector<Work> mine) { return reduce(std::move(mine), MPI_MAX); }
 
 std::vector<std::uint64_t> MpiCores::gather(std::uint64_t mine) {
   std::vector<std::uint64_t> all(static_cast<std::size_t>(size_));

@@ -15,6 +15,7 @@
 #include "client/lib/client.hpp"
 #include "client/solvers/drive.hpp"
 #include "client/solvers/mpi/cores.hpp"
+#include "client/solvers/mpi/summary.hpp"
 #include "client/solvers/scenes.hpp"
 #include "common/base/clock.hpp"
 #include "common/io/points.hpp"
@@ -22,29 +23,6 @@
 
 namespace rcb::solvers {
 namespace {
-
-using nlohmann::json;
-
-struct Options {
-  SlopeOptions slope;
-  std::int64_t steps = 200;
-  int parts = 8;
-  double tolerance = 0.1;
-  std::string positions = "every-step";
-  std::string scene = "slope";
-  std::string endpoint;
-  std::string trajectory;
-  double deadline_seconds = 60;
-  bool outlive = true;
-  bool check = false;
-  bool json = false;
-};
-
-struct Record : RunRecord {
-  std::vector<std::uint64_t> held;  // points by process, after the last step
-  std::uint64_t handed_over = 0;    // points, by this process
-  double seconds_exchange = 0;
-};
 
 // Reads numbers as the other solvers do: 8.0 and 1e6 are whole, a tolerance may be inf.
 CLI::Validator whole(std::int64_t low, std::int64_t high) {
@@ -65,12 +43,14 @@ CLI::Validator tolerance() {
   return {read, ""};
 }
 
-void declare(CLI::App& app, Options& o) {
+void declare(CLI::App& app, MpiOptions& o) {
   app.option_defaults()->always_capture_default();
   app.add_option("--points", o.slope.points, "material points, of all processes")->transform(whole(1, 100'000'000));
   app.add_option("--steps", o.steps, "steps after step 0")->transform(whole(0, 10'000'000));
   app.add_option("--parts", o.parts, "parts; process k of M keeps those from kP/M to (k+1)P/M")
       ->transform(whole(1, 1'048'576));
+  app.add_option("--method", o.method, "how the service divides: by RCB, or into bands across one axis")
+      ->check(CLI::IsMember({"rcb", "bands-x", "bands-y", "bands-z"}));
   app.add_option("--tolerance", o.tolerance, "load error at which the service repartitions; inf: never after step 0")
       ->check(tolerance());
   add_positions_option(app, o.positions);
@@ -92,7 +72,7 @@ void declare(CLI::App& app, Options& o) {
 }
 
 // Makes the whole slope and keeps this process's block of points; the first push tells where they belong.
-Result<Mpm> make_share(const Options& options, int rank, int size) {
+Result<Mpm> make_share(const MpiOptions& options, int rank, int size) {
   auto whole = make_slope(options.slope);
   if (!whole) return whole.status();
   Mpm mpm = std::move(whole->mpm);
@@ -109,7 +89,7 @@ struct Seat {
   client::Scene scene;
 };
 
-Result<std::unique_ptr<Seat>> open_scene(const Options& options, MpiCores& cores) {
+Result<std::unique_ptr<Seat>> open_scene(const MpiOptions& options, MpiCores& cores) {
   client::ConnectOptions connect;
   connect.endpoint = options.endpoint;
   connect.name = fmt::format("slope_mpi {} of {}", cores.rank(), cores.size());
@@ -119,9 +99,11 @@ Result<std::unique_ptr<Seat>> open_scene(const Options& options, MpiCores& cores
   auto client = client::Client::connect(connect);
   Status status = client.status();
   if (status && cores.rank() == 0)
-    status = client->create_scene(
-        options.scene,
-        {.parts = options.parts, .tolerance = options.tolerance, .positions = options.positions, .replace = true});
+    status = client->create_scene(options.scene, {.parts = options.parts,
+                                                  .method = options.method,
+                                                  .tolerance = options.tolerance,
+                                                  .positions = options.positions,
+                                                  .replace = true});
   if (Status all = cores.agree(status); !all) return all;
   auto scene = client->open_scene(options.scene, {.seat = cores.rank(), .seats = cores.size()});
   if (Status all = cores.agree(scene.status()); !all) return all;
@@ -129,13 +111,15 @@ Result<std::unique_ptr<Seat>> open_scene(const Options& options, MpiCores& cores
 }
 
 // Compares the service's list of this process's points with those held here. Not possible if another client has changed
-// the partition since the step of `report`, or if the service was lost.
-Status check_held(client::Client& client, const Options& options, const client::StepReport& report,
+// the partition since the step of `report`, if the ranks hold an older step, or if the service was lost.
+Status check_held(client::Client& client, const MpiOptions& options, const client::StepReport& report,
                   const MpiCores& cores, const Mpm& mpm) {
-  const auto reply = client.call("assign", json{{"scene", options.scene}}.dump(), options.deadline_seconds);
+  const auto reply = client.call("assign", nlohmann::json{{"scene", options.scene}}.dump(), options.deadline_seconds);
   if (options.outlive && reply.status().code() == Code::not_found) return {};  // the service was lost since the step
   if (!reply) return reply.status();
-  if (json::parse(reply->json).value("epoch", std::uint64_t{0}) != report.epoch) return {};
+  const auto answer = nlohmann::json::parse(reply->json);
+  if (answer.value("epoch", std::uint64_t{0}) != report.epoch) return {};
+  if (answer.value("positions_step", report.step) != report.step) return {};
   const client::Array* id = reply->find("id");
   const client::Array* part = reply->find("part");
   if (id == nullptr || part == nullptr) return {Code::protocol_error, "answer to 'assign': no arrays"};
@@ -150,29 +134,28 @@ Status check_held(client::Client& client, const Options& options, const client::
                                       held.size(), expected.size())};
 }
 
-Status push(Seat& seat, const Options& options, MpiCores& cores, Mpm& mpm, std::int64_t step, double advanced,
-            const Clock& clock, Record& record) {
+Status push(Seat& seat, const MpiOptions& options, MpiCores& cores, Mpm& mpm, std::int64_t step, MpiRecord& record) {
+  Work& work = cores.work();
   const std::array<const double*, 3> axes{mpm.position(0).data(), mpm.position(1).data(), mpm.position(2).data()};
   client::StepOptions with;
   with.step = step;
   with.ids = mpm.id();
-  if (step > 0) with.step_seconds = advanced;
+  if (step > 0) with.step_seconds = work.computing;
   with.deadline_seconds = options.deadline_seconds;
+  const SteadyClock clock;
   const double begin = clock.seconds();
   const auto news = seat.scene.step(client::Positions::axes(axes, mpm.size()), with);
-  const double answered = clock.seconds();
-  record.seconds_service += answered - begin;
+  work.service = clock.seconds() - begin;
   if (Status all = cores.agree(news.status()); !all)
     return {all.code(), fmt::format("step {}: {}", step, all.message()), all.hint()};
+  const double before = cores.computing();
   cores.hand_over(mpm, news->leaving);
-  record.seconds_exchange += clock.seconds() - answered;
-  record.handed_over += news->leaving.size();
+  work.computing += cores.computing() - before;
   record.reports.push_back(news->report);
   return options.check ? cores.agree(check_held(seat.client, options, news->report, cores, mpm)) : Status{};
 }
 
-Status run(const Options& options, MpiCores& cores, Record& record) {
-  const SteadyClock clock;
+Status run(const MpiOptions& options, MpiCores& cores, MpiRecord& record) {
   auto share = make_share(options, cores.rank(), cores.size());
   if (Status all = cores.agree(share.status()); !all) return all;
   Mpm mpm = std::move(*share);
@@ -186,61 +169,28 @@ Status run(const Options& options, MpiCores& cores, Record& record) {
   if (Status all = cores.agree(created); !all) return all;
   auto seat = open_scene(options, cores);
   if (!seat) return seat.status();
+  record.physics.start = cores.sum(mpm.balance());
+  const SteadyClock clock;
   for (std::int64_t step = 0; step <= options.steps; ++step) {
-    const double start = clock.seconds();
+    Work& work = cores.work() = {};
+    const double begin = clock.seconds(), before = cores.computing();
     if (step > 0)
       if (Status status = mpm.advance(options.slope.interval, &cores); !status) return status;
-    const double advanced = clock.seconds() - start;
-    record.seconds_physics += advanced;
-    record.physics.end = cores.sum(mpm.balance());
-    if (step == 0) record.physics.start = record.physics.end;
+    work.computing = cores.computing() - before;
     if (!options.trajectory.empty()) {
       const auto frame = cores.gather_positions(mpm, options.slope.points);
       if (Status all = cores.agree(trajectory ? trajectory->append(frame) : Status{}); !all) return all;
     }
-    if (Status status = push(**seat, options, cores, mpm, step, advanced, clock, record); !status) return status;
-    record.held = cores.gather(mpm.size());
+    if (Status status = push(**seat, options, cores, mpm, step, record); !status) return status;
+    work.wall = clock.seconds() - begin;
+    record.work.push_back(work);
   }
+  record.physics.end = cores.sum(mpm.balance());
+  record.held = cores.gather(mpm.size());
+  record.sum = cores.sum(record.work);
+  record.largest = cores.largest(record.work);
   record.substeps = mpm.substeps();
   return cores.agree(trajectory ? trajectory->close() : Status{});
-}
-
-void say_end(const Options& options, const MpiCores& cores, const Record& record, std::uint64_t handed_over) {
-  const Balance& start = record.physics.start;
-  const Balance& end = record.physics.end;
-  if (!options.json) {
-    fmt::print(
-        "slope_mpi: {} points on {} processes, {} steps of {:g} s in {} substeps, scene {} in {}\n"
-        "  repartitions   {} (the first partition included)\n"
-        "  handed over    {} points\n"
-        "  wall clock     {:.3g} s physics, {:.3g} s service, {:.3g} s handing over\n",
-        options.slope.points, cores.size(), options.steps, options.slope.interval, record.substeps, options.scene,
-        parts_text(options.parts, record.reports), record.repartitions(), handed_over, record.seconds_physics,
-        record.seconds_service, record.seconds_exchange);
-    return;
-  }
-  json reports = json::array();
-  for (const client::StepReport& report : record.reports) reports.push_back(json::parse(report.json));
-  const json document{{"scene", options.scene},
-                      {"solver", "slope_mpi"},
-                      {"members", cores.size()},
-                      {"points", options.slope.points},
-                      {"steps", options.steps},
-                      {"parts", options.parts},
-                      {"positions", options.positions},
-                      {"repartitions", record.repartitions()},
-                      {"reports", std::move(reports)},
-                      {"held", record.held},
-                      {"handed_over", handed_over},
-                      {"checked", options.check},
-                      {"substeps", record.substeps},
-                      {"momentum", {{"start", start.momentum}, {"end", end.momentum}}},
-                      {"energy", {{"start", start.energy()}, {"end", end.energy()}}},
-                      {"seconds",
-                       {{"physics", record.seconds_physics},
-                        {"service", record.seconds_service},
-                        {"exchange", record.seconds_exchange}}}};
-  fmt::print("{}\n", document.dump());
 }
 
 int run_on(MpiCores& cores, int argc, char** argv) {
@@ -250,7 +200,7 @@ int run_on(MpiCores& cores, int argc, char** argv) {
       "  mpirun --oversubscribe -n 4 slope_mpi        (as root also --allow-run-as-root)",
       "slope_mpi");
   app.footer(kFooter);
-  Options options;
+  MpiOptions options;
   declare(app, options);
   try {
     app.parse(argc, argv);
@@ -259,11 +209,11 @@ int run_on(MpiCores& cores, int argc, char** argv) {
     if (error.get_exit_code() == 0) return app.exit(error);
     return tell_failure("slope_mpi", options.json, {Code::usage, error.what(), "see slope_mpi --help"});
   }
-  Record record;
+  MpiRecord record;
   Status status = run(options, cores, record);
-  const auto handed_over = cores.gather(record.handed_over);
   if (status.ok() && cores.rank() == 0) {
-    say_end(options, cores, record, std::accumulate(handed_over.begin(), handed_over.end(), std::uint64_t{0}));
+    fmt::print("{}\n",
+               options.json ? json_document(options, cores.size(), record) : summary(options, cores.size(), record));
     status = flush_output();
   }
   if (status.ok()) return 0;
