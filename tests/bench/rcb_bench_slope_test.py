@@ -53,7 +53,6 @@ class Slope(unittest.TestCase):
             self.assertLessEqual(NODE * nodes, row["grid_bytes"] * (1 + 1e-9))
             self.assertEqual(row["grid_bytes"] % (2 * NODE), 0)
             self.assertEqual(row["point_bytes"] % POINT, 0)
-            self.assertLess(row["point_bytes"], POINT * N * STEPS)  # that of step 0, all points, isn't among them
 
     def test_repartitions_and_errors(self):
         for processes in PROCESSES[1:]:
@@ -61,7 +60,9 @@ class Slope(unittest.TestCase):
             self.assertEqual(kept["repartitions"], 0)
             self.assertGreater(exact["repartitions"], 1)
             self.assertLess(exact["error_max"], kept["error_max"])
-            self.assertGreater(kept["point_bytes"], 0)  # that drifted across the cuts
+            # Of points that drifted across the cuts; step 0, which gives most points to another process, isn't in it.
+            self.assertGreater(kept["point_bytes"], 0)
+            self.assertLess(kept["point_bytes"], POINT * N / 4)
 
     def test_table(self):
         lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in self.text.splitlines()
