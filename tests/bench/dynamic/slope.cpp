@@ -53,7 +53,7 @@ struct Place {
   std::string endpoint;
 };
 
-// Runs slope_mpi. Its document is the last line of what it prints.
+// Runs slope_mpi. Its document is one line of what it and mpirun print.
 Result<Json> run_once(const SlopeBenchOptions& options, const Place& place, const SlopeRuns& one,
                       const std::vector<std::string>& more) {
   std::error_code ignored;
@@ -75,7 +75,7 @@ Result<Json> run_once(const SlopeBenchOptions& options, const Place& place, cons
   std::ifstream in(said);
   for (std::string line; std::getline(in, line);) {
     if (!status.ok()) fmt::print(stderr, "{}\n", line);
-    document = Json::parse(line, nullptr, false);
+    if (Json read = Json::parse(line, nullptr, false); read.is_object()) document = std::move(read);
   }
   if (!status.ok()) return status;
   if (!document.is_object()) return Status(Code::internal, "slope_mpi printed no document");
