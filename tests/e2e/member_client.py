@@ -1,5 +1,6 @@
 """Members of a parallel solver, from PROTOCOL.md alone."""
 import numpy as np
+from protocol_client import described
 from push_client import Block, PushClient
 
 
@@ -7,6 +8,14 @@ def owner(parts, count, members):
     """The member of each part."""
     of_part = np.concatenate([np.full((k + 1) * count // members - k * count // members, k) for k in range(members)])
     return of_part[parts]
+
+
+def mixed(ids):
+    """SplitMix64's finaliser."""
+    v = np.asarray(ids).astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15)
+    v = (v ^ v >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
+    v = (v ^ v >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
+    return v ^ v >> np.uint64(31)
 
 
 class Member(PushClient):
@@ -28,6 +37,15 @@ class Member(PushClient):
     def rest(self):
         for link, data in self.slices:
             link.sendall(data)
+
+    def count(self, number, ids, **more):
+        """In a scene of one part."""
+        cuts = self.ask("cuts", scene=self.scene)[0]
+        arrays, bulk = described({"part": [0][:len(ids)], "count": [len(ids)][:len(ids)]}, {"part": "<i4", "count": "<u8"})
+        self.send({"command": "count", "scene": self.scene, "session": self.session, "step": number, "n": len(ids),
+                   "incarnation": self.opened["incarnation"], "epoch": cuts["epoch"], "hash": cuts["hash"],
+                   "id_sum": f"{int(mixed(ids).sum(dtype=np.uint64)):016x}", "arrays": arrays, **more}, bulk)
+        self.begun = self.number
 
     def start(self, number, rows, points, **more):
         self.begin(number, rows, points, **more)

@@ -3,7 +3,7 @@ import glob
 
 import ranks
 from member_client import Member
-from protocol_client import Client, Refused
+from protocol_client import Client, Refused, arrays_of
 from push_client import WAYS, Block, PushClient
 from shared_memory_client import SharedClient
 from support import *
@@ -75,6 +75,76 @@ class Outlive(unittest.TestCase):
         with self.assertRaises(Refused) as refused:
             stranger.push("s", 0, points)
         self.assertEqual(refused.exception.args[0], "busy")
+
+    def test_what_comes_and_goes_by_counts_is_in_the_next_block_and_the_next_service(self):
+        points, parts = np.random.default_rng(3).random((700, 3)), np.split(np.random.default_rng(4).permutation(600), 4)
+        has = [list(map(int, ids)) for ids in parts]
+        with Client(self.path) as control:
+            control.ask("scene.create", scene="s", parts=1, positions="when-needed")
+        team = [Member(self.path, "s", k, 4) for k in range(4)]
+        opened = list(team)
+        self.addCleanup(lambda: [one.close() for one in opened])
+
+        def step(how, number, refused=None, says=(), inserted=(0, 0, 0, 0), removed=(0, 0, 0, 0)):
+            for one, ids, come, go in zip(team, has, inserted, removed):
+                if how == "count":
+                    one.count(number, ids, inserted=come, removed=go)
+                else:
+                    one.start(number, ids, points, inserted=come, removed=go)
+            answers = []
+            for one in team:
+                try:
+                    answers.append(one.finish()[0])
+                except Refused as why:
+                    answers.append(why.args)
+            self.assertTrue(all(answer == answers[0] for answer in answers), answers)
+            if not refused:
+                return answers[0]
+            self.assertEqual(answers[0][0], refused)
+            for word in says:
+                self.assertIn(word, answers[0][1])
+
+        def state():
+            with Client(self.path) as control:
+                shown = control.ask("scene.show", scene="s")[0]
+                return [shown[name] for name in ("step", "n", "positions_step")]
+
+        step("push", 0)
+        has[0] += [600, 601]
+        has[3].pop()
+        for come in ((2, 1, 0, 0), (0, 0, 0, 0)):
+            step("count", 1, "not_conserved", ("601 particles", "has 600"), inserted=come, removed=(0, 0, 0, 1))
+        self.assertEqual(state(), [0, 600, 0])
+        report = step("count", 1, inserted=(2, 0, 0, 0), removed=(0, 0, 0, 1))["report"]
+        self.assertEqual([report[name] for name in ("n", "inserted", "removed", "way", "drifted", "positions_step")],
+                         [601, 2, 1, "count", None, 0])
+        kept, has[2][0] = has[2][0], 602
+        step("count", 2, "not_conserved", ("ids",))
+        has[2][0] = kept
+        # A twin comes. The next block tells, and changes nothing.
+        has[0].append(has[1][5])
+        step("count", 2, inserted=(1, 0, 0, 0))
+        twins = "duplicate_id", (f"id {has[1][5]} is pushed by member 0 and by member 1",)
+        step("push", 3, *twins)
+        self.assertEqual(state(), [2, 602, 0])
+        step("count", 3)
+        has[0][-1] = 603
+        step("push", 4, "not_conserved", ("ids",))
+        step("push", 4, inserted=(1, 0, 0, 0), removed=(1, 0, 0, 0))
+        self.assertEqual(state(), [4, 602, 4])
+        # A service that is started again knows what was counted, and its first block tells as well.
+        has[2][0], has[3][0] = 604, has[1][5]
+        step("count", 5, inserted=(0, 0, 1, 1), removed=(0, 0, 1, 1))
+        self.kill_and_wait()
+        team[:] = [Member(self.path, "s", k, 4, generation=2, session=one.session) for k, one in enumerate(team)]
+        opened += team
+        self.assertEqual(state(), [5, 602, None])
+        self.assertIn("send", step("count", 6))
+        step("push", 6, twins[0], (f"id {has[1][5]} is pushed by member 1 and by member 3",))
+        has[3][0] = 605
+        step("push", 6, inserted=(0, 0, 0, 1), removed=(0, 0, 0, 1))
+        with Client(self.path) as control:
+            self.assertEqual(arrays_of(*control.ask("fetch", scene="s"))["id"].tolist(), sorted(sum(has, [])))
 
     def test_the_next_step_after_a_start_is_judged_by_the_cuts_in_force(self):
         points = np.random.default_rng(3).random((80, 3))

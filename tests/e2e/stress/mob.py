@@ -266,9 +266,11 @@ class Mob(Actor):
         said, arrays = self.tally_of(guest)
         document = {"command": "count", "scene": self.scene, "session": guest.session, "step": self.step(),
                     "incarnation": self.shown["incarnation"], "epoch": self.shown["epoch"], "hash": self.shown["hash"], **said}
+        if self.random.random() < 0.2:
+            document |= {"inserted": (k := self.random.choice([1, 3, 2**48])), "removed": k}
         if self.random.random() < 0.3:
             name = self.random.choice(["step", "incarnation", "epoch", "hash", "n", "id_sum", "drifted", "step_seconds", "scale",
-                                       "least", "greatest", "weights_as_zero", "session", "fault"])
+                                       "inserted", "removed", "least", "greatest", "weights_as_zero", "session", "fault"])
             document[name] = self.random.choice([*UNTRUE, *NUMBERS, {"code": "not_finite", "message": "x"}, {"code": "internal"}])
         if arrays and self.random.random() < 0.2:
             name = self.random.choice(list(arrays))

@@ -89,6 +89,7 @@ class TwoLedgers {
     ++(committed ? seen_.died_after : seen_.died_before);
     if (before != nullptr && !committed) lazy_ranks_ = *before;
     remembered_ = lazy().history().total() - 1;
+    others_ = false;
     if (committed)
       positions_lost_ = true;
     else
@@ -375,6 +376,8 @@ class TwoLedgers {
     EXPECT_EQ(other["sent"], sent);
     if (sent) positions_step_ = step_;
     EXPECT_EQ(other["positions_step"], positions_step_ ? Json(*positions_step_) : Json());
+    others_ = !sent && !positions_lost_ && (others_ || flows());
+    EXPECT_EQ(lazy().now().others, others_);
     if (std::exchange(positions_lost_, false)) positions_step_.reset();
     EXPECT_EQ(lazy().now().positions_step, positions_step_);
     EXPECT_FALSE(sent && lazy().wants_positions());
@@ -457,6 +460,7 @@ class TwoLedgers {
   std::vector<std::string> sessions_;
   std::vector<particles::Id> ids_;  // of the last step
   std::uint64_t come_ = 0, go_ = 0;
+  bool others_ = false;  // the ranks hold
   std::optional<std::int64_t> positions_step_;
   std::uint64_t remembered_ = 0;  // in the history: the first step whose session the ledger knows
   bool had_positions_ = false;    // the ranks, of a step that is known, as it was counted
