@@ -15,12 +15,12 @@ constexpr std::array<Fields, 12> kCreate{"scene",      "parts",           "dims"
                                          "tolerance",  "axis_hysteresis", "cut_tolerance", "policy",
                                          "part_sizes", "replace",         "positions"};
 constexpr std::array<Fields, 4> kOpen{"scene", "member", "members", "generation"};
-constexpr std::array<Fields, 18> kPushBegin{
-    "scene",  "session", "step",    "attempt",  "n",       "path",         "dtype",      "weights", "ids",
-    "counts", "memory",  "sockets", "inserted", "removed", "step_seconds", "cuts_known", "drifted", "incarnation"};
-constexpr std::array<Fields, 18> kCount{"scene", "session",  "step",     "incarnation",     "epoch",   "hash",
-                                        "n",     "inserted", "removed",  "id_sum",          "drifted", "step_seconds",
-                                        "scale", "least",    "greatest", "weights_as_zero", "arrays",  "fault"};
+constexpr std::array<Fields, 17> kPushBegin{
+    "scene",  "step",    "attempt",  "n",       "path",         "dtype",      "weights", "ids",        "counts",
+    "memory", "sockets", "inserted", "removed", "step_seconds", "cuts_known", "drifted", "incarnation"};
+constexpr std::array<Fields, 17> kCount{"scene",    "step",     "incarnation",     "epoch",   "hash",         "n",
+                                        "inserted", "removed",  "id_sum",          "drifted", "step_seconds", "scale",
+                                        "least",    "greatest", "weights_as_zero", "arrays",  "fault"};
 constexpr std::array<Fields, 4> kCuts{"scene", "list", "from", "count"};
 constexpr std::array<Fields, 4> kHistory{"scene", "last", "from", "count"};
 constexpr std::array<Fields, 3> kOwner{"scene", "position", "id"};

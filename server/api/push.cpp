@@ -80,16 +80,12 @@ Result<std::vector<SharedArray>> read_shared(const wire::Json& request) {
   return arrays;
 }
 
-Result<PushId> read_push_id(const wire::Json& request, const std::string& session) {
+Result<PushId> read_push_id(const wire::Json& request, std::string session) {
   wire::FieldReader fields(request);
   PushId id;
   id.scene = fields.text("scene", 256);
   if (fields.ok()) fields.fail(wire::check_scene_name(id.scene));
-  id.session = fields.text_or("session", 16, session);
-  if (const auto number = wire::parse_hex64(id.session); fields.has("session") && number.ok())
-    id.session = wire::hex64(*number);
-  else if (fields.has("session"))
-    fields.fail({number.status().code(), "field 'session': " + number.status().message()});
+  id.session = std::move(session);
   id.step = fields.integer("step", 0, wire::kStepMax);
   id.attempt = fields.integer_or("attempt", 0, wire::kIntegerMax, 0);
   if (!fields.ok()) return fields.status();

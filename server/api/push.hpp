@@ -25,8 +25,8 @@ struct PushId {
   auto operator<=>(const PushId&) const = default;
 };
 
-// `session` is used if the message names none. Errors: invalid_argument.
-Result<PushId> read_push_id(const wire::Json& request, const std::string& session);
+// session: that of the connection. Errors: invalid_argument.
+Result<PushId> read_push_id(const wire::Json& request, std::string session);
 
 // Names the cuts of a scene; all 0: none.
 struct CutsId {

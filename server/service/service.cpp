@@ -59,7 +59,10 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
     if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
   Response response = state_->call(command->second, request, context);
   if (!context.root()) return {};
-  if (command->second.computes && response.status.ok())
+  if (!response.status.ok()) return response;
+  if (command->second.needs == Needs::positions)
+    response.json["positions_step"] = *state_->scenes.at(request.at("scene").get<std::string>()).step;
+  if (command->second.computes)
     response.change = {request.at("scene").get<std::string>(), scene::Asked{command->first}};
   return response;
 }

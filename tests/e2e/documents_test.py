@@ -1,5 +1,5 @@
 """What the documents show works as shown: the README's program and first session, the programs of the page on coupling,
-the protocol page's client."""
+a client of the wire protocol."""
 import re
 
 from support import *
@@ -131,9 +131,8 @@ class Documents(ServiceTest):
         done = example("unix:/nonexistent/s")
         self.assertEqual((done.returncode, done.stderr), (1, "no service answers at unix:/nonexistent/s\n"))
 
-    def test_the_protocol_pages_client(self):
-        client = os.path.join(self.dir, "client.py")
-        write_text(client, block("common/wire/PROTOCOL.md", "python"))
+    def test_the_client_of_one_page_that_pushes(self):
+        client = os.path.join(ROOT, "client/examples/wire/pushes.py")
         done = subprocess.run(["/usr/bin/python3", client, self.service.endpoint[5:]], capture_output=True, text=True,
                               timeout=60)
         self.assertEqual(done.returncode, 0, done.stderr)

@@ -67,7 +67,7 @@ class History(unittest.TestCase):
             client.push("still", 0, np.random.default_rng(1).random((10, 3)))
             shown = client.ask("scene.show", scene="still")[0]
             arrays, bulk = described({"part": [0, 1], "count": shown["counts"]}, {"part": "<i4", "count": "<u8"})
-            count = {"command": "count", "scene": "still", "session": client.session, "n": 10, "arrays": arrays,
+            count = {"command": "count", "scene": "still", "n": 10, "arrays": arrays,
                      **{name: shown[name] for name in ("incarnation", "epoch", "hash")}}
 
             def steps(first, last):

@@ -96,8 +96,8 @@ class LinksTest(MachinesTest):
             self.hosts.set_link("b")
             for held, bulk in ((during, bulk), watcher.ask("fetch", scene="s")):
                 arrays = arrays_of(held, bulk)
-                np.testing.assert_array_equal(np.stack([arrays[axis] for axis in "xyz"], axis=1), walk[held["step"]])
-            self.assertEqual((during["step"] in (step - 1, step), held["step"]), (True, step))
+                np.testing.assert_array_equal(np.stack([arrays[axis] for axis in "xyz"], axis=1), walk[held["positions_step"]])
+            self.assertEqual((during["positions_step"] in (step - 1, step), held["positions_step"]), (True, step))
         for answer, expected in zip(answers, judge.reports(walk, PARTS, 6), strict=True):
             expected["drifted"] = answer["report"]["drifted"]  # which nobody has counted
             self.assertEqual({name: answer["report"][name] for name in expected}, expected)

@@ -127,7 +127,7 @@ class Overload(ServiceTest):
             limits = {**rude.welcome.get("limits", {}), **rude.hello.get("limits", {})}
             n = limits["bulk_bytes"] // 24 - 1
             rude.ask("scene.create", scene="announced", parts=2, replace=True)
-            begin = {"command": "push.begin", "scene": "announced", "session": rude.session, "step": 0, "attempt": 1, "n": n,
+            begin = {"command": "push.begin", "scene": "announced", "step": 0, "attempt": 1, "n": n,
                      "deadline_seconds": 3600}
             rude.send(begin)
             for step in range(1, 4):

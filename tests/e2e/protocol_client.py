@@ -185,7 +185,7 @@ class Client:
 
     def push_frames(self, scene, step, columns, n, attempt=0):
         """The two frames of a push by the gateway: (begin, slice, the bulk of that)."""
-        push = {"scene": scene, "session": self.session, "step": step, "attempt": attempt}
+        push = {"scene": scene, "step": step, "attempt": attempt}
         begin = {"command": "push.begin", **push, "n": n, "ids": "id" in columns}
         arrays, bulk = described(columns)
         return begin, {"command": "push.slice", **push, "count": n, "arrays": arrays}, bulk

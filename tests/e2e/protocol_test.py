@@ -37,6 +37,14 @@ class Protocol(Refusals, ServiceTest):
             part = arrays_of(*client.ask("assign", scene="p"))["part"]
             np.testing.assert_array_equal(part, judge.Tree.of_arrays(cuts, 3).assign(walk[-1]))
 
+    def test_answers_about_positions_say_of_which_step_they_are(self):
+        with self.client() as client:
+            client.ask("scene.create", scene="old", parts=2)
+            client.push("old", 7, np.random.default_rng(1).random((50, 3)))
+            for command, arguments in (("assign", {}), ("fetch", {}), ("quality", {}), ("compare", {}), ("halo", {"width": 0.1}),
+                                       ("rebalance", {"dry_run": True})):
+                self.assertEqual(client.ask(command, scene="old", **arguments)[0]["positions_step"], 7, command)
+
     def test_a_checksum_of_no_arrays(self):
         with self.client() as client:
             for _ in range(3):

@@ -43,7 +43,7 @@ class PushClient(Sharer):
         way, n = way or self.way, len(block.points)
         each = each or n + 1
         self.attempts += 1
-        self.push_id = {"scene": scene, "session": self.session, "step": number, "attempt": self.attempts}
+        self.push_id = {"scene": scene, "step": number, "attempt": self.attempts}
         begin = {"command": "push.begin", **self.push_id, "n": n, "path": way, "dtype": block.dtype,
                  "ids": block.ids is not None, "weights": block.weights is not None}
         if way == "gateway":

@@ -58,7 +58,7 @@ class SharedClient(Sharer):
         self.attempts += 1
         self.number += 1
         return frame(REQUEST, self.number, {
-            "command": "push.begin", "scene": scene, "session": self.session, "step": step, "attempt": self.attempts,
+            "command": "push.begin", "scene": scene, "step": step, "attempt": self.attempts,
             "n": n, "path": "shared", "dtype": array.dtype.str, "memory": memory} | more)
 
     def step(self, scene, step, array, arrays=None, **more):

@@ -202,7 +202,7 @@ class TlsTest(Refusals, MachinesTest):
             self.assertEqual(len({client.certificate, *(rank.certificate for rank in ranks)}), 2,
                              "a process has one certificate, and shares it with no other")
             show = client.ask("scene.create", scene="s", parts=5, dims=2)[0]
-            push = {"scene": "s", "session": client.session, "step": 0, "attempt": 1}
+            push = {"scene": "s", "step": 0, "attempt": 1}
             client.send({"command": "push.begin", **push, "n": 1000, "path": "direct", "counts": [500, 500]})
             for rank, connection in enumerate(ranks):
                 part = points[rank * 500: (rank + 1) * 500]

@@ -150,7 +150,7 @@ Status export_scene(const ExportOptions& options, const Context& context) {
   return show(context,
               {{"scene", options.name},
                {"n", answer.json.at("n")},
-               {"step", answer.json.at("step")},
+               {"step", answer.json.at("positions_step")},
                {"epoch", answer.json.at("epoch")},
                {"files", files}},
               [&] {

@@ -140,7 +140,6 @@ Result<std::optional<Answer>> CountStep::ask(const CountCall& call, const Counte
     const Status counted = count(*cuts.known, rows, call.last_step, scale);
     if (!counted && !call.of_member) return counted;
     wire::Json json{{"scene", call.scene},
-                    {"session", call.session.number()},
                     {"step", call.step},
                     {"incarnation", call.incarnation},
                     {"deadline_seconds", retry.seconds_left()}};

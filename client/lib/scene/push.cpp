@@ -68,7 +68,6 @@ RankRows Scene::State::rows_by_rank(const StepRequest& ask, bool grouped, std::s
 wire::Json Scene::State::begin_json(std::int64_t step, const Retry& retry) const {
   wire::Json begin{{"command", "push.begin"},
                    {"scene", name_},
-                   {"session", session().number()},
                    {"step", step},
                    {"attempt", session().next_attempt()},
                    {"n", 0},

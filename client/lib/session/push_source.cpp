@@ -41,7 +41,7 @@ std::vector<Column> columns_of(const Positions& positions, std::span<const doubl
 
 wire::Json slice_json(const wire::Json& begin) {
   wire::Json slice{{"command", "push.slice"}};
-  for (const char* name : {"scene", "session", "step", "attempt"}) slice[name] = begin.at(name);
+  for (const char* name : {"scene", "step", "attempt"}) slice[name] = begin.at(name);
   return slice;
 }
 

@@ -129,7 +129,7 @@ class Session : public std::enable_shared_from_this<Session> {
   void begin_directly(const std::shared_ptr<OpenPush>& push);
   Result<std::shared_ptr<OpenPush>> admit_push(const Request& request, const PushId& id);
   // Whether a client that came by this endpoint may push on this path. Errors: unsupported, not_authorised.
-  Status check_path(const wire::Json& begin, const PushId& id) const;
+  Status check_path(const wire::Json& begin) const;
   Status push_conflict(const SceneGate& gate, const PushId& id);
   awaitable<Status> push_slice(Frame frame);
   // Reads the bulk of a slice into its arrays. If the push is aborted meanwhile, the rest is read and dropped.

@@ -21,13 +21,10 @@ constexpr std::size_t kRoomAtOnce = std::size_t{64} << 20U;
 
 }  // namespace
 
-Status Session::check_path(const Json& begin, const PushId& id) const {
+Status Session::check_path(const Json& begin) const {
   const Json path = begin.value("path", Json());
-  if (path != "direct" && path != "shared") return {};
-  if (coordinator_->data_addresses(entrance_.endpoint).empty())
-    return {Code::unsupported, "this endpoint has no direct path", "push by the path \"gateway\""};
-  if (path == "direct" || id.session == number_) return {};
-  return {Code::not_authorised, "a push from shared memory is of the session that shares it"};
+  if ((path != "direct" && path != "shared") || !coordinator_->data_addresses(entrance_.endpoint).empty()) return {};
+  return {Code::unsupported, "this endpoint has no direct path", "push by the path \"gateway\""};
 }
 
 Status Session::push_conflict(const SceneGate& gate, const PushId& id) {
@@ -85,7 +82,7 @@ awaitable<void> Session::begin_contribution(Request& request, const PushId& id) 
   const auto joins = [&gate] { return gate.push && gate.push->round; };
   Status status = co_await wait_turn(request, id.scene, ready, joins);
   const bool slices = may_bring_slices(request.json);
-  if (status.ok()) status = check_path(request.json, id);
+  if (status.ok()) status = check_path(request.json);
   if (status.ok())
     status = coordinator_->groups().begin(
         {id, connection_, client_, request.number, std::move(request.json), request.end, request.held});
@@ -117,7 +114,7 @@ Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, co
   if (gate.push) coordinator_->abort(gate.push, {Code::aborted, "a newer attempt of the same session replaced it"});
   const scene::Ledger* ledger = coordinator_->scenes().find(id.scene);
   if (ledger == nullptr) return coordinator_->unknown_scene(id.scene);
-  if (Status path = check_path(request.json, id); !path.ok()) return path;
+  if (Status path = check_path(request.json); !path.ok()) return path;
   Result<PushTerms> terms = read_push_terms(request.json, id, ledger->now(), coordinator_->options().ranks,
                                             coordinator_->options().bulk_bytes_max);
   if (!terms.ok()) return terms.status();

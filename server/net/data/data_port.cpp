@@ -132,7 +132,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
     }
     if (!request || *command != "push.slice")
       co_return Status(Code::protocol_error, "a data connection takes push.slice, memory.share and memory.drop alone");
-    const auto id = read_push_id(frame.json, "");
+    const auto id = read_push_id(frame.json, session);
     if (!id.ok()) co_return Status(Code::protocol_error, id.status().message());
     if (frame.header.bulk_bytes == 0) co_return co_await connection->skip_bulk(frame, 0);  // may be of no opened push
     const auto push = co_await await_push(*id, *connection);

@@ -28,7 +28,7 @@ void apply_hub_message(DataPort& port, const wire::Json& message) {
     RCB_CHECK(ticket.ok(), ticket.status().message());
     port.open(std::move(*ticket));
   } else if (message.value("push", "") == "drop") {
-    const auto id = read_push_id(message, "");
+    const auto id = read_push_id(message, message.value("session", ""));
     RCB_CHECK(id.ok(), id.status().message());
     port.drop(*id);
   }

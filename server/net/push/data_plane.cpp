@@ -30,7 +30,7 @@ wire::Json ticket_json(const PushTicket& ticket, std::uint64_t count) {
 }
 
 Result<PushTicket> read_ticket(const wire::Json& json) {
-  Result<PushId> id = read_push_id(json, "");
+  Result<PushId> id = read_push_id(json, json.value("session", ""));
   if (!id.ok()) return id.status();
   PushTicket ticket;
   ticket.number = json.value("number", std::uint64_t{0});

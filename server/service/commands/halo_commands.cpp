@@ -260,7 +260,7 @@ Response halo(Context& context, Scene& s, const wire::Json& request) {
   if (Status room = agree_room(context.comm, context.root() ? answer : 0, "these halos"); !room.ok())
     return failed(too_wide(room.message()));
   Response response = about_cuts(s);
-  response.json.update({{"n", s.n}, {"step", *s.step}});
+  response.json["n"] = s.n;
   append_demands(context, response, search);
   Status status;
   if (*lists) {

@@ -92,8 +92,7 @@ Status append_particles(Context& context, const Scene& scene, bool positions, Re
 Response assign(Context& context, Scene& s, const wire::Json& request) {
   const auto checksum = wire::bool_field(request, "checksum");
   if (!checksum.ok()) return failed(checksum.status());
-  Response response =
-      done({{"epoch", s.epoch}, {"n", s.n}, {"hash", wire::hex64(s.cuts_hash())}, {"positions_step", *s.step}});
+  Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"hash", wire::hex64(s.cuts_hash())}});
   if (Status status = append_particles(context, s, false, response); !status.ok()) return failed(std::move(status));
   if (checksum.value()) {
     std::uint64_t sum = 0;
@@ -106,7 +105,7 @@ Response assign(Context& context, Scene& s, const wire::Json& request) {
 }
 
 Response fetch(Context& context, Scene& s, const wire::Json&) {
-  Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"step", *s.step}, {"positions_step", *s.step}});
+  Response response = done({{"epoch", s.epoch}, {"n", s.n}});
   if (Status status = append_particles(context, s, true, response); !status.ok()) return failed(std::move(status));
   return response;
 }

@@ -93,8 +93,7 @@ Response rebalance(Context& context, Scene& scene, const wire::Json& request) {
                   {"axes_flipped", cuts::axes_flipped(scene.tree, found->tree)},
                   {"adopted", !wanted->dry_run},
                   {"reason", wanted->dry_run ? "dry run: nothing was changed" : "asked for"},
-                  {"hash", wire::hex64(found->tree.hash())},
-                  {"positions_step", *scene.step}};
+                  {"hash", wire::hex64(found->tree.hash())}};
   time = context.check_time();
   // Other scenes may have got parts meanwhile.
   if (time.ok()) time = check_parts_total(context.scenes, scene.name, options.parts);

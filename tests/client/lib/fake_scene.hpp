@@ -193,11 +193,9 @@ class FakeScene {
   // What the slice says of itself, and value by value.
   void check_slice(const Received& begin, const Received& slice, const std::vector<std::int64_t>& ids,
                    std::int64_t number) {
-    EXPECT_EQ(begin.json["session"], sessions.back());
     EXPECT_EQ(begin.json["path"], "gateway");
     EXPECT_EQ(slice.json["command"], "push.slice");
-    for (const char* field : {"scene", "session", "step", "attempt"})
-      EXPECT_EQ(slice.json[field], begin.json[field]) << field;
+    for (const char* field : {"scene", "step", "attempt"}) EXPECT_EQ(slice.json[field], begin.json[field]) << field;
     EXPECT_EQ(slice.json["count"], ids.size());
     protocol::Json arrays = protocol::Json::array();
     const auto describe = [&](const char* name, const char* dtype) {

@@ -154,7 +154,7 @@ class Fuzz(Actor):
         document = {self.random.choice(names): self.value() for _ in range(self.random.randrange(8))}
         document |= {"command": self.random.choice(COMMANDS), "scene": self.scene}
         if self.random.random() < 0.3:
-            document |= {"session": self.random.choice(self.sessions), "step": self.random.randrange(4), "attempt": 1}
+            document |= {"step": self.random.randrange(4), "attempt": 1}
         return document
 
     def fields(self):
@@ -241,6 +241,6 @@ class Fuzz(Actor):
             if "rank" in client.hello:
                 return
             n = self.random.choice([10**6, 10**8, 4 * 10**8])
-            client.send({"command": "push.begin", "scene": self.scene, "session": client.session, "step": 0, "attempt": 1,
+            client.send({"command": "push.begin", "scene": self.scene, "step": 0, "attempt": 1,
                          "n": n, "deadline_seconds": 2})
             self.drain(client.socket)

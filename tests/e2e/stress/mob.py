@@ -177,7 +177,7 @@ class Mob(Actor):
                 ("step_seconds", (0, 1, 1e308, -1)), ("cuts_known", ({}, {"epoch": 1, "hash": "0" * 16})),
                 ("incarnation", (self.shown["incarnation"], "0" * 16)), ("attempt", NUMBERS), ("ids", (True, False)),
                 ("weights", (True, False)), ("dtype", ("<f8", "<f4")), ("path", WAYS), ("counts", UNTRUE),
-                ("memory", UNTRUE), ("sockets", ([0], [1, 2], [0, 1, 2], *UNTRUE)), ("session", ("0" * 16, guest.session)),
+                ("memory", UNTRUE), ("sockets", ([0], [1, 2], [0, 1, 2], *UNTRUE)),
                 ("counts", (None, [n, 0, 0], [0, 0, n], [2**48] * 3, [n + 1, -1, 0]))])
             said[name] = self.random.choice(values)
             if self.random.random() < 0.3:
@@ -264,13 +264,13 @@ class Mob(Actor):
 
     def do_tally(self, guest):
         said, arrays = self.tally_of(guest)
-        document = {"command": "count", "scene": self.scene, "session": guest.session, "step": self.step(),
+        document = {"command": "count", "scene": self.scene, "step": self.step(),
                     "incarnation": self.shown["incarnation"], "epoch": self.shown["epoch"], "hash": self.shown["hash"], **said}
         if self.random.random() < 0.2:
             document |= {"inserted": (k := self.random.choice([1, 3, 2**48])), "removed": k}
         if self.random.random() < 0.3:
             name = self.random.choice(["step", "incarnation", "epoch", "hash", "n", "id_sum", "drifted", "step_seconds", "scale",
-                                       "inserted", "removed", "least", "greatest", "weights_as_zero", "session", "fault"])
+                                       "inserted", "removed", "least", "greatest", "weights_as_zero", "fault"])
             document[name] = self.random.choice([*UNTRUE, *NUMBERS, {"code": "not_finite", "message": "x"}, {"code": "internal"}])
         if arrays and self.random.random() < 0.2:
             name = self.random.choice(list(arrays))

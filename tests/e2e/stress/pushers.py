@@ -175,7 +175,7 @@ class Liars(Actor):
         return False
 
     def change(self, document):
-        name = self.random.choice([name for name in document if name not in ("command", "scene", "session")])
+        name = self.random.choice([name for name in document if name not in ("command", "scene")])
         self.changed = (name, document[name])
         document[name] = self.random.choice(UNTRUE)
         if name == "arrays" and self.rng.integers(2):

@@ -277,7 +277,6 @@ TEST_F(Count, WhatIsWrongWithARecordByItselfIsRefused) {
                                                                 {"hash", {"", "xyz", 7, "00000000000000000"}},
                                                                 {"incarnation", {nullptr, "-1"}},
                                                                 {"id_sum", {0, "no"}},
-                                                                {"session", {"members", 3}},
                                                                 {"step_seconds", {-1, "inf", "nan", "1"}},
                                                                 {"scale", {"122", 122.5, 1301, -1301}},
                                                                 {"least", {-1, 1.5, "nan"}},

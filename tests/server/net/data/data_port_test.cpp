@@ -74,7 +74,6 @@ class DataPortTest : public ::testing::Test {
     client.send(wire::FrameType::request,
                 {{"command", "push.slice"},
                  {"scene", "s"},
-                 {"session", kSession},
                  {"step", step},
                  {"attempt", 0},
                  {"rank", rank},

@@ -210,7 +210,6 @@ TEST_F(Push, BeginIsHeldAgainstTheScene) {
       {{{"incarnation", "00000000000000ab"}}, "not_found"},
       {{{"incarnation", "x"}}, "invalid_argument"},
       {{{"step", -1}}, "invalid_argument"},
-      {{{"session", "xyz"}}, "invalid_argument"},
   };
   for (const auto& [more, code] : wrong) {
     anna_.begin(kAnna, 6, 4, more);
