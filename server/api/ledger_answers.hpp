@@ -1,6 +1,7 @@
 // Answers that rank 0 gives from a scene's ledger alone, without its ranks.
 #pragma once
 
+#include <functional>
 #include <string>
 
 #include "common/wire/message.hpp"
@@ -18,6 +19,10 @@ Answer answer_from(const scene::Ledger& ledger, const wire::Json& request, int r
 std::string repeated_to_member(const scene::Ledger& ledger);
 // The report of a committed step, for whoever pushes or counts it again. number: in the history.
 Answer repeated(const scene::Ledger& ledger, std::uint64_t number);
+
+// An answer that `fill` completes with the reports [first, last); on the thread for files if they are in the file.
+Answer with_reports(const scene::Ledger& ledger, std::uint64_t first, std::uint64_t last,
+                    std::function<void(scene::FoundReports found, Answer& answer)> fill);
 
 // What has the ranks take up a scene of an earlier service. The cuts, if any, go with it: cut_arrays().
 wire::Json restore_order(const scene::Ledger& ledger);

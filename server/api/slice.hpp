@@ -21,7 +21,6 @@ struct Slice {
   int member = 0;                        // of a parallel solver: the one that sent it
   std::uint64_t count = 0;               // from shared memory: of the array "row", if there is one
   std::vector<wire::Array> arrays = {};  // x y z (w) (id)
-  bool divided = false;                  // came through the endpoint to rank 0, which deals its rows out to all ranks
   std::uint64_t first_row = 0;           // number of the first of these rows in the block
   // Instead of arrays, if the client shares memory:
   std::vector<SharedColumn> shared = {};

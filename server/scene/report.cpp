@@ -18,12 +18,6 @@ const char* name_of(Way way) {
   return "endpoint";
 }
 
-Way way_from_name(std::string_view name) {
-  for (const Way way : {Way::sockets, Way::shared_memory, Way::file, Way::count})
-    if (name == name_of(way)) return way;
-  return Way::endpoint;
-}
-
 std::vector<std::string> Skips::names() const {
   constexpr const char* kNames[] = {"dimension", "weights", "ids",           "double precision",
                                     "exchange",  "search",  "far from cuts", "positions"};

@@ -14,7 +14,6 @@ namespace rcb::scene {
 // How what a step needs came to the service: as counts alone, or how the positions came to the ranks.
 enum class Way : std::uint8_t { endpoint, sockets, shared_memory, file, count };
 const char* name_of(Way way);
-Way way_from_name(std::string_view name);  // endpoint for an unknown one
 
 struct StepSeconds {
   double receive = 0;   // from the first byte until all ranks hold their slices

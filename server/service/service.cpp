@@ -36,8 +36,8 @@ struct Service::State {
 Service::Service(comm::Comm& comm, const Clock& clock, ServiceOptions options)
     : state_(new State{comm, clock, std::move(options)}) {
   if (!state_->options.roots) state_->options.roots = std::make_shared<const io::Roots>();
-  for (const auto table : {scene_commands(), push_commands(), query_commands(), paged_commands(), quality_commands(),
-                           halo_commands(), rebalance_commands(), file_commands()})
+  for (const auto table : {scene_commands(), push_commands(), query_commands(), quality_commands(), halo_commands(),
+                           rebalance_commands(), file_commands()})
     for (const Command& command : table) state_->commands.emplace(command.name, command);
 }
 

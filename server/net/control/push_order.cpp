@@ -54,8 +54,7 @@ class Together {
               {"weights", all_.weights},
               {"ids", all_.ids},
               {"inserted", all_.inserted},
-              {"removed", all_.removed},
-              {"way", name_of(all_.way)}};
+              {"removed", all_.removed}};
     if (all_.drifted) json["drifted"] = *all_.drifted;
     if (all_.step_seconds) json["step_seconds"] = *all_.step_seconds;
     if (const auto& cuts = all_.cuts_known)
@@ -72,11 +71,6 @@ class Together {
       all_.drifted.reset();
     else
       all_.drifted = *terms.drifted + all_.drifted.value_or(0);
-    if (first || terms.way == all_.way)
-      all_.way = terms.way;
-    else
-      all_.way =
-          terms.way == api::Way::sockets || all_.way == api::Way::sockets ? api::Way::sockets : api::Way::endpoint;
   }
 
   bool first_;    // nothing came or went before it
@@ -101,7 +95,6 @@ PushOrder order_of(std::span<const std::shared_ptr<OpenPush>> pushes, std::size_
     if (terms.n > 0) blocks.push_back(block_json(*push));
     if (auto slice = push->slices.take()) {
       slice->member = std::max(push->member, 0);
-      slice->divided = true;
       options.slices.push_back(std::move(*slice));
     }
   }

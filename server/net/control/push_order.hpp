@@ -16,8 +16,8 @@ struct PushOrder {
 
 // Takes what has arrived of the pushes. members: of the scene, whose pushes these are by number; 0: one client's.
 //
-// The request has the fields of push.begin of all blocks together, and "way" (as in a report), "members", "terms" (of
-// the decision), and "blocks":
+// The request has the fields of push.begin of all blocks together, and "members", "terms" (of the decision), and
+// "blocks":
 // {"member", "n", "path", "dtype"} of each that has rows; besides, with the path "direct", "counts" and the "number"
 // under which the ranks have them (DataPort); with "shared", "session", "memory", perhaps "counts", and "sockets" and
 // "number" of the ranks that have them by socket. Rows by the path "gateway" are in the options' slices.

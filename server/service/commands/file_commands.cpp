@@ -19,7 +19,6 @@
 #include "common/wire/limits.hpp"
 #include "server/service/commands/file_work.hpp"
 #include "server/service/context/collective.hpp"
-#include "server/service/push/values.hpp"
 #include "server/service/step/step.hpp"
 
 namespace rcb::service {
@@ -160,29 +159,23 @@ Response load(Context& context, Scene& scene, const wire::Json& request) {
   if (slices.dims != scene.options.dims)
     return failed({Code::invalid_argument, fmt::format("{} has {} dimension(s), scene '{}' has {}", load->path,
                                                        slices.dims, scene.name, scene.options.dims)});
-  Staged staged;
-  staged.n = slices.total;
-  auto particles = particles_of(std::move(points).value(), slices, scene.options.dims);
-  if (Status status = agree_status(comm, particles.status()); !status.ok()) return failed(std::move(status));
-  staged.arrays = std::move(particles).value();
-  if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
-  if (Status status = check_values(comm, staged.arrays.view(), slices.ids); !status.ok()) return failed(status);
-  if (slices.ids)
-    if (Status status = check_distinct(comm, 0, {}, staged.arrays.id.span(), staged.n, staged.ids); !status.ok())
-      return failed({status.code(), fmt::format("{}: {}", load->path, status.message()), status.hint()});
-  staged.sums.id_sum = sum_ids(staged.arrays.id.span(), 0);
-  comm.all_sum({&staged.sums.id_sum, 1});
-  Status room = agree_room_to_partition(comm, staged.arrays.count(), scene.options.parts);
-  if (!room.ok()) return failed(std::move(room));
-  // Last look at the deadline: from here on the command runs to its end, since the commit can't be stopped halfway.
-  if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
-  staged.seconds = context.clock.seconds() - start;
   PushRequest push;
   push.id.session = "load";
   push.id.step = load->step;
-  push.n = staged.n;
+  push.n = slices.total;
+  push.ids = slices.ids;
+  push.weights = slices.weights;
   push.way = api::Way::file;
-  scene::Stepped stepped = commit(context, scene, staged, push);
+  auto particles = particles_of(std::move(points).value(), slices, scene.options.dims);
+  if (Status status = agree_status(comm, particles.status()); !status.ok()) return failed(std::move(status));
+  if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
+  auto staged = prepare_set(comm, scene, push, {.set = std::move(particles).value()});
+  if (const Status& status = staged.status(); !status.ok())
+    return failed({status.code(), fmt::format("{}: {}", load->path, status.message()), status.hint()});
+  // Last look at the deadline: from here on the command runs to its end, since the commit can't be stopped halfway.
+  if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
+  staged->seconds = context.clock.seconds() - start;
+  scene::Stepped stepped = commit(context, scene, *staged, push);
   Response response = done({{"report", to_json(stepped.report)}});
   if (context.root()) response.change = {scene.name, std::move(stepped)};
   return response;

@@ -68,7 +68,6 @@ struct Command {
 std::span<const Command> scene_commands();
 std::span<const Command> push_commands();
 std::span<const Command> query_commands();
-std::span<const Command> paged_commands();
 std::span<const Command> quality_commands();
 std::span<const Command> halo_commands();
 std::span<const Command> rebalance_commands();

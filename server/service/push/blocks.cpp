@@ -9,7 +9,6 @@
 
 #include <fmt/format.h>
 
-#include "common/base/axis_names.hpp"
 #include "common/layout/layout.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/push/shared_source.hpp"
@@ -81,53 +80,44 @@ class Reader {
            layout::row_begin(comm_.rank(), slice.rows, comm_.size());
   }
 
-  // Adds up what comes, and checks the arrays that came.
+  // Adds up what comes, and compares it with the order.
   Status find_slices() {
     for (const Block& block : push_.blocks) {
-      if (block.way != api::Way::endpoint) continue;
-      count_ += Deal(block, push_.members, comm_.size()).count(comm_.rank());
-      if (const PushSlice* whole = slice_of(block); context_.root() && (!whole || whole->count != block.n))
-        return {Code::internal, fmt::format("the rows of member {} are missing", block.member)};
+      const PushSlice* const slice = slice_of(block);
+      if (Status status = check_rows(block, slice); !status.ok()) return status;
+      if (block.way == api::Way::endpoint)
+        count_ += Deal(block, push_.members, comm_.size()).count(comm_.rank());
+      else if (slice != nullptr)
+        count_ += count_of(*slice);
     }
-    for (const Block& block : push_.blocks) {
-      if (block.way == api::Way::endpoint) continue;
-      const PushSlice* slice = slice_of(block);
-      const bool memory = slice != nullptr && !slice->shared.empty() && block.counts.empty();
-      const std::uint64_t come = slice == nullptr ? 0 : memory ? slice->rows : slice->count;
-      const std::uint64_t wanted =
-          block.counts.empty() ? block.n : block.counts[static_cast<std::size_t>(comm_.rank())];
-      if (come != wanted)
-        return {Code::aborted,
-                fmt::format("{} rows of a block have come to rank {}, not {}", come, comm_.rank(), wanted),
-                "push the step again"};
-      if (slice != nullptr) count_ += count_of(*slice);
-    }
-    for (const PushSlice& slice : context_.slices)
-      if (slice.shared.empty())
-        if (Status status = check_arrays(slice); !status.ok()) return status;
     return {};
   }
 
-  Status check_arrays(const PushSlice& slice) const {
-    std::vector<std::pair<std::string, std::string>> types;
-    for (std::size_t a = 0; a < static_cast<std::size_t>(scene_.options.dims); ++a)
-      types.emplace_back(kAxisNames[a], "<f8");
-    if (push_.weights) types.emplace_back("w", "<f8");
-    if (push_.ids) types.emplace_back("id", "<i8");
-    bool match = slice.arrays.size() == types.size();
-    for (std::size_t a = 0; match && a < types.size(); ++a)
-      match = slice.arrays[a].name == types[a].first && slice.arrays[a].dtype == types[a].second &&
-              slice.arrays[a].bytes.size() == slice.count * 8;
-    if (match) return {};
-    return {Code::invalid_argument,
-            fmt::format("the rows of member {} must have {} axes{}{}", slice.member, scene_.options.dims,
-                        push_.weights ? ", weights" : "", push_.ids ? ", ids" : "")};
+  Status check_rows(const Block& block, const PushSlice* slice) {
+    const std::uint64_t wanted = block.way == api::Way::endpoint && !context_.root() ? 0
+                                 : block.counts.empty()                              ? block.n
+                                                        : block.counts[static_cast<std::size_t>(comm_.rank())];
+    const bool counted = slice != nullptr && (slice->shared.empty() || !block.counts.empty());
+    const std::uint64_t come = slice == nullptr ? 0 : counted ? slice->count : slice->rows;
+    const std::size_t arrays = dims() + (push_.weights ? 1U : 0U) + (push_.ids ? 1U : 0U);
+    const auto whole = [come](const wire::Array& array) { return array.bytes.size() == 8 * come; };
+    const bool fits = slice == nullptr || !slice->shared.empty() ||
+                      (slice->arrays.size() == arrays && std::ranges::all_of(slice->arrays, whole));
+    if (come == wanted && fits) return {};
+    return {Code::aborted,
+            fmt::format("{} rows of the block of member {} have come to rank {}, not {} whole ones", come, block.member,
+                        comm_.rank(), wanted),
+            "push the step again"};
   }
 
   // Whether all rows here are those of one slice that this rank has received: its memory is used as it is.
   bool takes_slice() const {
-    return context_.slices.size() == 1 && context_.slices.front().shared.empty() && !context_.slices.front().divided &&
-           context_.slices.front().count == count_;
+    if (context_.slices.size() != 1) return false;
+    const PushSlice& only = context_.slices.front();
+    const auto dealt = [&only](const Block& block) {
+      return block.member == only.member && block.way == api::Way::endpoint;
+    };
+    return only.shared.empty() && only.count == count_ && std::ranges::none_of(push_.blocks, dealt);
   }
 
   Status make_room() {

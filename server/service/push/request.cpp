@@ -1,12 +1,12 @@
 #include "server/service/push/request.hpp"
 
+#include <algorithm>
 #include <utility>
 
 #include <fmt/format.h>
 
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
-#include "server/scene/ledger.hpp"
 
 namespace rcb::service {
 namespace {
@@ -26,6 +26,14 @@ Result<Block> read_block(const wire::Json& json, int ranks) {
   return block;
 }
 
+// Of all blocks together.
+api::Way way_of(const std::vector<Block>& blocks) {
+  const auto by = [](api::Way way) { return [way](const Block& block) { return block.way == way; }; };
+  if (std::ranges::any_of(blocks, by(api::Way::sockets))) return api::Way::sockets;
+  const bool shared = !blocks.empty() && std::ranges::all_of(blocks, by(api::Way::shared_memory));
+  return shared ? api::Way::shared_memory : api::Way::endpoint;
+}
+
 }  // namespace
 
 Result<PushRequest> read_order(const wire::Json& request, int ranks) {
@@ -39,7 +47,6 @@ Result<PushRequest> read_order(const wire::Json& request, int ranks) {
   if (!push.ok()) return push.status();
   static_cast<api::Push&>(order) = std::move(*push);
   if (const auto terms = request.find("terms"); terms != request.end()) order.terms = scene::read_terms(*terms);
-  order.way = scene::way_from_name(request.value("way", ""));
   if (const auto sum = request.find("counted_ids"); sum != request.end()) order.counted_ids = sum->get<std::uint64_t>();
   const auto blocks = request.find("blocks");
   std::uint64_t n = 0;
@@ -50,32 +57,10 @@ Result<PushRequest> read_order(const wire::Json& request, int ranks) {
       n += block->n;
       order.blocks.push_back(*block);
     }
+  order.way = way_of(order.blocks);
   if (n != order.n)
     return Status(Code::invalid_argument, fmt::format("the blocks have {} rows, the push has {}", n, order.n));
   return order;
-}
-
-Status check_request(const Scene& scene, const PushRequest& push) {
-  if (scene.step && push.id.step <= *scene.step) return scene::stale_step(scene.name, push.id.step, *scene.step);
-  if (scene.epoch == 0) return {};
-  Status conserved;
-  if (!push.counted_ids) conserved = scene::check_conserved(scene.name, scene.n, push.n, push.inserted, push.removed);
-  if (!conserved.ok() || push.n == 0 || scene.n == 0) return conserved;  // into an empty scene: as at a first push
-  if ((push.inserted > 0 || push.removed > 0) && !push.ids)
-    return {Code::invalid_argument, "particles come or go, and the push gives no ids",
-            "without ids a row is its particle; give ids to all of them"};
-  if (scene.ids && !push.ids)
-    return {Code::invalid_argument, fmt::format("scene '{}' has ids, and the push gives none", scene.name),
-            "give the id of each row"};
-  if (push.weights != scene.particles.has_weights && (push.weights || !push.of_held(scene)))
-    return {Code::invalid_argument,
-            fmt::format("the push has {}weights, scene '{}' has {}", push.weights ? "" : "no ", scene.name,
-                        push.weights ? "none" : "some"),
-            "weights are there from the first push on, or never"};
-  if (push.of_held(scene) && push.ids)
-    return {Code::unsupported, "rows with ids can't be found by the particles that the ranks hold",
-            "say in 'row' and 'counts' which rows each rank is to take"};
-  return {};
 }
 
 }  // namespace rcb::service

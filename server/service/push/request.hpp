@@ -1,4 +1,5 @@
-// An order to push, as the service reads it, and whether it suits the scene's state.
+// An order to push, as the service reads it. That it suits the scene was checked by rank 0's ledger, before its rows
+// came (server/net/push): step, number of particles, whether there are ids and weights.
 #pragma once
 
 #include <vector>
@@ -37,9 +38,5 @@ struct PushRequest : api::Push {
 
 // Local. Errors: invalid_argument.
 Result<PushRequest> read_order(const wire::Json& request, int ranks);
-
-// Checks step, number of particles, ids and weights. Local, with the same result on every rank. Errors: stale_step,
-// not_conserved, invalid_argument, unsupported.
-Status check_request(const Scene& scene, const PushRequest& push);
 
 }  // namespace rcb::service

@@ -6,6 +6,7 @@
 
 #include <fmt/format.h>
 
+#include "common/base/check.hpp"
 #include "common/base/random.hpp"
 #include "common/cuts/count.hpp"
 #include "common/layout/layout.hpp"
@@ -67,6 +68,30 @@ int member_of(const std::vector<Run>& runs, std::size_t i) {
   for (const Run& run : runs)
     if (i >= run.begin && i < run.begin + run.count) return run.member;
   return 0;
+}
+
+// The smallest id that several rows have, on all ranks together: duplicate_id, naming the members that push it. Sets
+// `other` to whether ids aren't 0..n-1. Collective.
+Status check_distinct(comm::Comm& comm, int members, const std::vector<Run>& runs, std::span<const particles::Id> ids,
+                      std::uint64_t n, bool& other) {
+  std::uint64_t greatest = 0;
+  for (const particles::Id id : ids) greatest = std::max(greatest, static_cast<std::uint64_t>(id));
+  const auto twin = duplicate_id(comm, ids, greatest);
+  other = n > 0 && greatest != n - 1;
+  if (!twin) return {};
+  std::uint64_t least = kNone, most = 0;
+  for (std::size_t i = 0; i < ids.size(); ++i) {
+    if (ids[i] != *twin) continue;
+    least = std::min(least, static_cast<std::uint64_t>(member_of(runs, i)));
+    most = std::max(most, static_cast<std::uint64_t>(member_of(runs, i)));
+  }
+  comm.all_min({&least, 1});
+  comm.all_max({&most, 1});
+  return {Code::duplicate_id,
+          members == 0    ? fmt::format("id {} occurs more than once", *twin)
+          : least == most ? fmt::format("member {} pushes id {} twice", least, *twin)
+                          : fmt::format("id {} is pushed by member {} and by member {}", *twin, least, most),
+          "ids must be distinct"};
 }
 
 // Whether the rows must be the particles that the ranks hold.
@@ -143,12 +168,8 @@ Status find_parts(const comm::Comm& comm, Scene& scene, const PushRequest& push,
 }
 
 // Collective.
-Status prepare_new(Context& context, Scene& scene, const PushRequest& push, Staged& staged) {
-  comm::Comm& comm = context.comm;
-  auto arrived = read_blocks(context, scene, push);
-  if (!arrived.ok()) return arrived.status();
-  staged.arrays = std::move(arrived->set);
-  staged.took_slice = arrived->took_slice;
+Status check_set(comm::Comm& comm, Scene& scene, const PushRequest& push, const std::vector<Run>& runs,
+                 Staged& staged) {
   staged.same = stays_same(scene, push) && scene.key.key;
   const std::uint64_t mine = staged.arrays.count();
   Status ready = room_for_step(comm, scene, staged, mine);
@@ -160,7 +181,7 @@ Status prepare_new(Context& context, Scene& scene, const PushRequest& push, Stag
     fault = first_fault(staged.arrays.view()).has_value();
     sums.id_sum = sum_ids(staged.arrays.id.span(), 0);
   } else if (ready.ok()) {
-    Status found = find_parts(comm, scene, push, arrived->runs, staged);
+    Status found = find_parts(comm, scene, push, runs, staged);
     fault = !found.ok() && found.code() != Code::too_large;
     if (!fault) ready = std::move(found);
   }
@@ -173,7 +194,7 @@ Status prepare_new(Context& context, Scene& scene, const PushRequest& push, Stag
     if (Status status = agree_status(comm, ready); !status.ok()) return status;
     return fault_in(comm, staged.arrays.view(), push.ids);
   }
-  if (Status status = check_identity(comm, scene, push, arrived->runs, staged); !status.ok()) return status;
+  if (Status status = check_identity(comm, scene, push, runs, staged); !status.ok()) return status;
   return agree_room_to_migrate(comm, staged.n, sums);
 }
 
@@ -246,28 +267,6 @@ std::uint64_t sum_ids(std::span<const particles::Id> ids, std::uint64_t key) {
   return sum;
 }
 
-Status check_distinct(comm::Comm& comm, int members, const std::vector<Run>& runs, std::span<const particles::Id> ids,
-                      std::uint64_t n, bool& other) {
-  std::uint64_t greatest = 0;
-  for (const particles::Id id : ids) greatest = std::max(greatest, static_cast<std::uint64_t>(id));
-  const auto twin = duplicate_id(comm, ids, greatest);
-  other = n > 0 && greatest != n - 1;
-  if (!twin) return {};
-  std::uint64_t least = kNone, most = 0;
-  for (std::size_t i = 0; i < ids.size(); ++i) {
-    if (ids[i] != *twin) continue;
-    least = std::min(least, static_cast<std::uint64_t>(member_of(runs, i)));
-    most = std::max(most, static_cast<std::uint64_t>(member_of(runs, i)));
-  }
-  comm.all_min({&least, 1});
-  comm.all_max({&most, 1});
-  return {Code::duplicate_id,
-          members == 0    ? fmt::format("id {} occurs more than once", *twin)
-          : least == most ? fmt::format("member {} pushes id {} twice", least, *twin)
-                          : fmt::format("id {} is pushed by member {} and by member {}", *twin, least, most),
-          "ids must be distinct"};
-}
-
 void give_back(Context& context, Scene& scene, Staged& staged, api::Way way) {
   std::vector<Buffer<std::byte>> buffers;
   for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
@@ -280,16 +279,28 @@ void give_back(Context& context, Scene& scene, Staged& staged, api::Way way) {
     scene.spare = std::move(buffers);
 }
 
+Result<Staged> prepare_set(comm::Comm& comm, Scene& scene, const PushRequest& push, Arrived arrived) {
+  Staged staged{.n = push.n, .arrays = std::move(arrived.set), .took_slice = arrived.took_slice};
+  if (Status status = check_set(comm, scene, push, arrived.runs, staged); !status.ok()) return status;
+  return staged;
+}
+
 Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) {
   const double start = context.clock.seconds();
-  if (Status status = check_request(scene, push); !status.ok()) return status;
+  RCB_CHECK(!stays_same(scene, push) || push.n == scene.n, "the ledger counts the particles before it orders a push");
   Staged staged{.n = push.n, .ids = scene.ids, .held = push.of_held(scene)};
-  staged.arrays.dims = scene.options.dims;
-  staged.arrays.has_weights = push.weights;
+  if (staged.held) {
+    staged.arrays.dims = scene.options.dims;
+    staged.arrays.has_weights = push.weights;
+    if (Status status = prepare_held(context, scene, push, staged); !status.ok()) return status;
+  } else {
+    auto arrived = read_blocks(context, scene, push);
+    if (!arrived.ok()) return arrived.status();
+    auto set = prepare_set(context.comm, scene, push, std::move(*arrived));
+    if (!set.ok()) return set;
+    staged = std::move(*set);
+  }
   staged.bytes = bytes_of(scene, push);
-  const Status checked =
-      staged.held ? prepare_held(context, scene, push, staged) : prepare_new(context, scene, push, staged);
-  if (!checked.ok()) return checked;
   staged.seconds = context.received_seconds + context.clock.seconds() - start;
   return staged;
 }

@@ -50,9 +50,11 @@ struct Staged {
 };
 
 // Collective. Leaves the scene as it was, except for what it caches (regions, spare memory). Errors: faults of the
-// push, the same on every rank: those of check_request() and read_blocks(), not_finite, invalid_argument,
+// push, the same on every rank: those of read_blocks(), not_finite, invalid_argument,
 // not_conserved, duplicate_id, too_large.
 Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push);
+// The same where the rows are there already, as a new set of particles. Errors: but for those of read_blocks().
+Result<Staged> prepare_set(comm::Comm& comm, Scene& scene, const PushRequest& push, Arrived arrived);
 
 // Gives the memory that the commit swapped out to the next push, so that a step touches no fresh memory; frees it where
 // rows also lay in other memory before they came here. Local.
@@ -60,10 +62,5 @@ void give_back(Context& context, Scene& scene, Staged& staged, api::Way way);
 
 // The sum of mix64(id + key). Local.
 std::uint64_t sum_ids(std::span<const particles::Id> ids, std::uint64_t key);
-
-// The smallest id that several of these have, on all ranks together: duplicate_id, naming the members that push it, by
-// runs. Sets `other` to whether they aren't 0..n-1. Collective.
-Status check_distinct(comm::Comm& comm, int members, const std::vector<Run>& runs, std::span<const particles::Id> ids,
-                      std::uint64_t n, bool& other);
 
 }  // namespace rcb::service

@@ -289,9 +289,13 @@ Exports exports_of(const comm::Comm& comm, const Scene& scene, std::vector<std::
   return exports;
 }
 
-// Collective.
-std::uint64_t send(comm::Comm& comm, Scene& scene, std::vector<std::uint64_t> slots, bool first,
-                   const ExchangeLimits& limits) {
+}  // namespace
+
+std::uint64_t send_strangers(comm::Comm& comm, Scene& scene, bool first, const ExchangeLimits& limits) {
+  const layout::PartRange own = layout::parts_of_rank(comm.rank(), scene.options.parts, comm.size());
+  std::vector<std::uint64_t> slots;
+  for (std::size_t i = 0; i < scene.part.size(); ++i)
+    if (!own.has(scene.part[i])) slots.push_back(i);
   std::uint64_t changed = slots.size();
   comm.all_sum({&changed, 1});
   if (changed == 0 && !first) return 0;
@@ -300,22 +304,6 @@ std::uint64_t send(comm::Comm& comm, Scene& scene, std::vector<std::uint64_t> sl
   if (changed > 0) comm::exchange_counts(comm, exports.counts, from);
   exchange_particles(comm, scene, std::move(exports), from, changed, first || is_full_change(changed, scene.n), limits);
   return changed;
-}
-
-}  // namespace
-
-std::uint64_t send_strangers(comm::Comm& comm, Scene& scene, bool first, const ExchangeLimits& limits) {
-  const layout::PartRange own = layout::parts_of_rank(comm.rank(), scene.options.parts, comm.size());
-  std::vector<std::uint64_t> slots;
-  for (std::size_t i = 0; i < scene.part.size(); ++i)
-    if (!own.has(scene.part[i])) slots.push_back(i);
-  return send(comm, scene, std::move(slots), first, limits);
-}
-
-std::uint64_t send_strangers_among(comm::Comm& comm, Scene& scene, std::vector<std::uint64_t> slots) {
-  const layout::PartRange own = layout::parts_of_rank(comm.rank(), scene.options.parts, comm.size());
-  std::erase_if(slots, [&](std::uint64_t slot) { return own.has(scene.part[slot]); });
-  return send(comm, scene, std::move(slots), false, {});
 }
 
 void send_exports(comm::Comm& comm, Scene& scene, std::vector<std::uint64_t> slots, std::uint64_t changed,

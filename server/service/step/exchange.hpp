@@ -32,9 +32,6 @@ inline bool is_full_change(std::uint64_t changed, std::uint64_t count) { return 
 // number. Returns on every rank how many have gone in all. first: a full change, however few they are. Collective.
 std::uint64_t send_strangers(comm::Comm& comm, Scene& scene, bool first, const ExchangeLimits& limits = {});
 
-// The same where only these can be such, in ascending slots. Work in proportion to their number. Collective.
-std::uint64_t send_strangers_among(comm::Comm& comm, Scene& scene, std::vector<std::uint64_t> slots);
-
 // The same where these are such. changed: of all ranks, above 0; from_to: [from][to] how many, or empty. Collective.
 void send_exports(comm::Comm& comm, Scene& scene, std::vector<std::uint64_t> slots, std::uint64_t changed,
                   std::span<const std::uint64_t> from_to);

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <iterator>
 #include <random>
 #include <utility>
 
@@ -90,10 +89,9 @@ partition::Repartition search(Context& context, Scene& scene, Staged& staged, St
   return found;
 }
 
-// Searches new cuts and adopts them if they lower the error; returns whether it did. moved: the slots of particles
-// whose part they change, ascending. Collective.
+// Searches new cuts and adopts them if they lower the error; returns whether it did. Collective.
 bool try_repartition(Context& context, Scene& scene, Staged& staged, const Decision& decision, double error_before,
-                     Buffer<std::uint64_t>& moved, StepReport& report) {
+                     StepReport& report) {
   partition::Repartition found = search(context, scene, staged, report);
   if (may_be_wasted(scene.options, scene.loads) && !(found.loads.error < error_before)) {
     report.reason = reason_not_adopted(decision, found.loads.error);
@@ -114,7 +112,6 @@ bool try_repartition(Context& context, Scene& scene, Staged& staged, const Decis
   context.comm.all_sum(changed);
   report.moved = changed[0];
   report.migrated = changed[1];
-  moved = std::move(found.delta.slot);
   adopt(scene, {std::move(found.tree), found.rounds, found.reductions}, std::move(found.loads));
   return true;
 }
@@ -156,17 +153,8 @@ void take_rows(Context& context, Scene& scene, Staged& staged) {
                     : partition::summarise_counts(std::move(staged.sums.counts), scene.options.part_sizes);
 }
 
-// Those of both lists; each is ascending.
-std::vector<std::uint64_t> united(const std::vector<std::uint64_t>& a, const Buffer<std::uint64_t>& b) {
-  std::vector<std::uint64_t> all;
-  all.reserve(a.size() + b.size());
-  std::set_union(a.begin(), a.end(), b.begin(), b.end(), std::back_inserter(all));
-  return all;
-}
-
 // Returns whether new cuts were searched in vain.
-bool later_step(Context& context, Scene& scene, Staged& staged, const PushRequest& push, Buffer<std::uint64_t>& moved,
-                StepReport& report) {
+bool later_step(Context& context, Scene& scene, Staged& staged, const PushRequest& push, StepReport& report) {
   const bool was_empty = scene.n == 0;
   staged.held ? take_drift(context, scene, staged) : take_rows(context, scene, staged);
   report.inserted = push.inserted;
@@ -191,7 +179,7 @@ bool later_step(Context& context, Scene& scene, Staged& staged, const PushReques
   const double start = context.clock.seconds();
   bool wasted = false;
   if (decision.search)
-    wasted = !try_repartition(context, scene, staged, decision, error_before, moved, report);
+    wasted = !try_repartition(context, scene, staged, decision, error_before, report);
   else if (context.no_skip.search)
     search(context, scene, staged, report);
   report.seconds.search = context.clock.seconds() - start;
@@ -199,14 +187,12 @@ bool later_step(Context& context, Scene& scene, Staged& staged, const PushReques
 }
 
 // Sends all particles to the ranks that own them; returns whether any has gone. Collective.
-bool migrate(Context& context, Scene& scene, Staged& staged, const Buffer<std::uint64_t>& moved, bool first,
-             StepReport& report) {
+bool migrate(Context& context, Scene& scene, Staged& staged, bool first, StepReport& report) {
   const double start = context.clock.seconds();
   std::uint64_t sent = staged.sums.exported;
-  if (first) {
-    sent = send_strangers(context.comm, scene, true);
-  } else if (report.moved > 0) {
-    sent = send_strangers_among(context.comm, scene, united(staged.exports, moved));
+  if (first || report.moved > 0) {
+    staged.exports = {};
+    sent = send_strangers(context.comm, scene, first);
   } else if (sent > 0) {
     send_exports(context.comm, scene, std::move(staged.exports), sent, staged.sums.from_to);
   } else if (context.no_skip.exchange) {  // of nothing, for measurement
@@ -268,11 +254,10 @@ scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const Push
   report.scanned = push.n;
   report.seconds.receive = staged.seconds;
 
-  Buffer<std::uint64_t> moved;
   if (first)
     first_step(context, scene, staged, report);
   else
-    stepped.wasted = later_step(context, scene, staged, push, moved, report);
+    stepped.wasted = later_step(context, scene, staged, push, report);
   report.n = scene.n;
   report.parts = scene.options.parts;
   report.epoch = scene.epoch;
@@ -280,7 +265,7 @@ scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const Push
   report.imbalance = scene.loads.imbalance;
   report.weights_as_zero = scene.loads.weights_as_zero;
   staged.scan = {};  // frees its memory for the migration
-  const bool exchanged = migrate(context, scene, staged, moved, first, report);
+  const bool exchanged = migrate(context, scene, staged, first, report);
   note_skips(scene, push, exchanged, report);
   report.seconds.total = staged.seconds + context.clock.seconds() - start;
   scene.step = push.id.step;

@@ -9,7 +9,6 @@
 
 #include <gtest/gtest.h>
 
-#include "server/api/with_reports.hpp"
 #include "tests/support/directory.hpp"
 
 namespace rcb::api {

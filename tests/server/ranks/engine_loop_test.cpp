@@ -68,7 +68,7 @@ class Queue {
 
   void push_step(const std::string& scene, std::int64_t step) {
     Random random(static_cast<std::uint64_t>(step));
-    service::PushSlice slice{.count = kCount, .arrays = {}, .divided = true};
+    service::PushSlice slice{.count = kCount, .arrays = {}};
     for (const char* axis : {"x", "y", "z"}) {
       wire::Array array{axis, "<f8", {kCount}, {}};
       std::vector<double> values(kCount);

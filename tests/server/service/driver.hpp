@@ -94,23 +94,18 @@ class Blocks {
 
   void put(Json& request, std::vector<PushSlice>& slices) const {
     std::uint64_t n = 0;
-    bool memory = true, sockets = false, float32 = true;
+    bool float32 = true;
     request["blocks"] = Json::array();
     for (const Block& block : blocks_) {
       if (block.rows.empty()) continue;
       n += block.rows.size();
-      memory = memory && (block.path == Path::listed || block.path == Path::held);
-      sockets = sockets || block.path == Path::direct;
       float32 = float32 && block.is_float32;
       request["blocks"].push_back(order_of(block, slices));
     }
     request.update({{"n", n},
                     {"ids", ids_ && n > 0},
                     {"weights", !particles_.weights.empty()},
-                    {"dtype", float32 && n > 0 ? "<f4" : "<f8"},
-                    {"way", sockets           ? "sockets"
-                            : memory && n > 0 ? "shared-memory"
-                                              : "endpoint"}});
+                    {"dtype", float32 && n > 0 ? "<f4" : "<f8"}});
   }
 
  private:
@@ -119,7 +114,6 @@ class Blocks {
     if (block.path == Path::gateway) {
       order["path"] = "gateway";
       if (comm_.rank() == 0) slices.push_back(received(block, block.rows));
-      if (comm_.rank() == 0) slices.back().divided = true;
       return order;
     }
     std::vector<std::vector<std::size_t>> of_rank(static_cast<std::size_t>(comm_.size()));  // entries of block.rows

@@ -196,7 +196,6 @@ TEST_F(Blocks, AStepIsOrderedWhenEveryRankHasWhatEveryMemberBrings) {
                                                                {"members", 2},
                                                                {"ids", true},
                                                                {"weights", false},
-                                                               {"way", "sockets"},
                                                                {"step_seconds", 0.5},
                                                                {"drifted", 4}})
     EXPECT_EQ(order[name], value) << name;
@@ -272,7 +271,6 @@ TEST_F(Blocks, EachMemberTakesItsOwnPath) {
   whole(2, plane_.opened[0].ticket.number);
   all_done();
   const Json& order = engine_.pushed.at(0);
-  EXPECT_EQ(order["way"], "endpoint");
   const Json& block = order["blocks"][0];
   EXPECT_EQ(block["path"], "shared");
   EXPECT_EQ(block["session"], kSessions[0]);
@@ -282,10 +280,9 @@ TEST_F(Blocks, EachMemberTakesItsOwnPath) {
   EXPECT_EQ(block["number"], plane_.opened[0].ticket.number);
   EXPECT_EQ(order["blocks"][1], (Json{{"member", 1}, {"n", 5}, {"path", "gateway"}, {"dtype", "<f8"}}));
   ASSERT_EQ(engine_.slices.size(), 1U);
-  EXPECT_TRUE(engine_.slices[0].member == 1 && engine_.slices[0].divided && engine_.slices[0].count == 5);
+  EXPECT_TRUE(engine_.slices[0].member == 1 && engine_.slices[0].count == 5);
   for (int k = 0; k < 2; ++k) direct(k, {4, 0, 1}, with(Json::object()), 9);
   all_done(9);
-  EXPECT_EQ(engine_.pushed.at(1)["way"], "shared-memory");
   EXPECT_EQ(engine_.pushed.at(1)["blocks"][1]["sockets"], Json::array());
 }
 
@@ -437,7 +434,6 @@ TEST_F(Blocks, WithoutAListOfRowsMemoryIsOfTheParticlesHeld) {
   };
   EXPECT_EQ(push({"x", "y"}, Json::object()), "") << "the weights are those that the ranks hold";
   EXPECT_EQ(engine_.pushed.back()["weights"], false);
-  EXPECT_EQ(engine_.pushed.back()["way"], "shared-memory");
   EXPECT_FALSE(engine_.pushed.back()["blocks"][0].contains("counts"));
   EXPECT_EQ(push({"x", "y", "w"}, {{"weights", true}}), "");
   EXPECT_EQ(push({"x", "y", "w", "id"}, {{"weights", true}, {"ids", true}}), "unsupported");

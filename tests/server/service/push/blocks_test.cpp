@@ -32,10 +32,6 @@ TEST(Blocks, NothingIsLostOrDoubled) {
         scene.refused(Code::not_conserved, words, pushed, dealt(comm, pushed, path), 1, true, 0, told);
         scene.refused(Code::not_conserved, words, pushed, shares(comm, pushed, 3, path), 1, true, 3, told);
       };
-      refused(fewer, {"60", "61"}, flow(0, 0));
-      refused(fewer, {"60", "61"}, flow(0, 2));
-      refused(particles, {"61"}, flow(1, 0));
-      refused(particles, {"61"}, flow(1, 62));
       Particles other = particles;
       other.ids[17] = 7;
       refused(other, {"other particles"}, flow(0, 0));
@@ -191,27 +187,21 @@ TEST(Blocks, RowNumbersMayComeAsIds) {
       EXPECT_FALSE(shown.json["ids"]);
       check_particles(fetched, rows);
     }
-    scene.refused(Code::invalid_argument, {"ids"}, rows, dealt(comm, rows, Path::gateway), 4, false, 0, flow(1, 1));
     Particles other = rows;
     for (int row = 0; row < 80; ++row) other.ids.push_back(row == 9 ? 80 : row);
     scene.taken(other, dealt(comm, other, Path::direct), 4, true, 0, flow(1, 1));
     const Response shown = scene.driver().ask("scene.show");
     EXPECT_TRUE(comm.rank() != 0 || shown.json["ids"].get<bool>());
-    scene.refused(Code::invalid_argument, {"ids"}, rows, dealt(comm, rows, Path::gateway), 5, false, 0);
-    scene.refused(Code::invalid_argument, {"ids"}, rows, dealt(comm, rows, Path::held), 5, false, 0);
-    scene.refused(Code::unsupported, {}, other, dealt(comm, other, Path::held), 5, true, 0);
   });
 }
 
 TEST(Blocks, OfASceneWithWeightsHaveThem) {
   on_ranks([](comm::Comm& comm) {
-    Refusing scene(comm, {{"parts", 4}, {"tolerance", 0.5}}), light(comm, {{"parts", 4}});
+    Refusing scene(comm, {{"parts", 4}, {"tolerance", 0.5}});
     Particles plain = random_particles(3, 70, 3), weighted = plain;
     Random random(3);
     for (int k = 0; k < 70; ++k) weighted.weights.push_back(random.uniform(0, 2));
     scene.taken(weighted, dealt(comm, weighted, Path::direct), 0, false, 0);
-    for (const Path path : kAnyRankPaths)
-      scene.refused(Code::invalid_argument, {"weights"}, plain, dealt(comm, plain, path), 1, false, 0);
     drift(plain, 4, 0.1);
     weighted.position = plain.position;
     scene.taken(plain, dealt(comm, plain, Path::held), 1, false, 0);  // leaves them as they are
@@ -221,9 +211,6 @@ TEST(Blocks, OfASceneWithWeightsHaveThem) {
     scene.taken(weighted, dealt(comm, weighted, Path::held), 2, false, 0);
     const Response changed = scene.driver().ask("fetch");
     if (comm.rank() == 0) check_particles(changed, weighted);
-    light.taken(plain, dealt(comm, plain, Path::gateway), 0, false, 0);
-    for (const Path path : {Path::gateway, Path::listed, Path::held})
-      light.refused(Code::invalid_argument, {"weights"}, weighted, dealt(comm, weighted, path), 1, false, 0);
   });
 }
 
@@ -237,7 +224,6 @@ TEST(Blocks, OfAnEmptySceneMayBeAny) {
     some.weights.assign(30, 2);
     some.weights[4] = 5;
     for (const std::int64_t step : {0, 1}) scene.taken(none, std::vector<Block>{}, step, false, 0);
-    scene.refused(Code::not_conserved, {"30", "0"}, some, dealt(comm, some, Path::gateway), 2, true, 0);
     const Json first = scene.taken(some, dealt(comm, some, Path::direct), 2, true, 0, flow(30, 0));
     const Json gone = scene.taken(none, std::vector<Block>{}, 3, false, 3, flow(0, 30));
     const Particles rows = random_particles(1, 12, 2);
@@ -290,8 +276,7 @@ TEST(Blocks, AreComparedWithTheOrder) {
       if (comm.rank() == (path == Path::gateway ? 0 : comm.size() - 1)) spoil(slices);
       const Response pushed = driver.service.execute(request, std::move(slices));
       EXPECT_TRUE(comm.rank() != 0 || !pushed.status.ok()) << why;
-      EXPECT_TRUE(path != Path::direct || comm.rank() != 0 || pushed.status.code() == Code::aborted ||
-                  pushed.status.code() == Code::invalid_argument)
+      EXPECT_TRUE(path != Path::direct || comm.rank() != 0 || pushed.status.code() == Code::aborted)
           << why << ": " << pushed.status.message();
     };
     for (const std::int64_t step : {0, 1}) {
