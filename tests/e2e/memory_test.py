@@ -2,6 +2,7 @@
 and questions whose answers are too large, under a limit of address space."""
 import resource
 
+from member_client import Member
 from protocol_client import Client, Refused
 from shared_memory_client import SharedClient
 from support import *
@@ -64,6 +65,22 @@ class Memory(Refusals, unittest.TestCase):
             client.positions(60_000, dtype="<f4")
             same = [{"name": axis, "offset": 0, "stride": 4} for axis in "xyz"]  # three arrays in one place
             self.refused("too_large", client.step, "big", 0, rows, same)
+
+    def test_blocks_in_shared_memory_that_are_beyond_the_limit_on_bytes_together(self):
+        service, client = self.service(0, "--bulk-bytes", "1mb")
+        points = np.random.default_rng(1).random((36_000, 3))
+        client.ask("scene.create", scene="big", parts=4)
+        team = [Member(service.endpoint[5:], "big", k, 3, way="shared") for k in range(3)]
+        for n, fits in ((36_000, False), (24_000, True)):  # 32 bytes each
+            for k, one in enumerate(team):
+                one.start(0, np.arange(k, n, 3), points)
+            for one in team:
+                if fits:
+                    self.assertEqual(one.finish()[0]["report"]["n"], n)
+                else:
+                    self.assertIn("1152000 bytes together, at most 1048576", self.refused("too_large", one.finish))
+        for one in team:
+            one.close()
 
     def test_an_answer_that_memory_cannot_hold(self):
         service, client = self.service(900)

@@ -42,13 +42,17 @@ class Seats:
         shown = self.control.ask("scene.show", scene=self.scene)[0]
         return [answer["report"][field] for field in FIELDS] + [shown["hash"]], answer["report"]["sent"]
 
+    def start_count(self, one, number, ids, points, **more):
+        counts = np.bincount(self.tree.assign(points[ids], ids), minlength=self.tree.parts)
+        some = np.flatnonzero(counts)
+        arrays, bulk = described({"part": some, "count": counts[some]}, {"part": "<i4", "count": "<u8"})
+        one.send({"command": "count", "scene": self.scene, "session": one.session, "step": number, **self.known,
+                  "incarnation": self.incarnation, "n": len(ids), "id_sum": f"{mixed(ids):016x}", "arrays": arrays, **more},
+                 bulk)
+
     def count(self, number, shares, points):
         for one, ids in zip(self.team, shares):
-            counts = np.bincount(self.tree.assign(points[ids], ids), minlength=self.tree.parts)
-            some = np.flatnonzero(counts)
-            arrays, bulk = described({"part": some, "count": counts[some]}, {"part": "<i4", "count": "<u8"})
-            one.send({"command": "count", "scene": self.scene, "session": one.session, "step": number, **self.known,
-                      "incarnation": self.incarnation, "n": len(ids), "id_sum": f"{mixed(ids):016x}", "arrays": arrays}, bulk)
+            self.start_count(one, number, ids, points)
         answers = [one.answer()[0] for one in self.team]
         assert all(answer == answers[0] for answer in answers), answers
         return answers[0]

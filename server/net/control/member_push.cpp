@@ -83,7 +83,7 @@ void MemberGroups::withdraw(OpenPush& contribution) {
 }
 
 Status MemberGroups::check_together(const MemberPush& step) const {
-  std::uint64_t n = 0, inserted = 0, removed = 0;
+  std::uint64_t n = 0, inserted = 0, removed = 0, bytes = 0;
   const OpenPush* with_rows = nullptr;
   for (const auto& contribution : step.contributions) {
     if (!contribution) return {};
@@ -91,6 +91,7 @@ Status MemberGroups::check_together(const MemberPush& step) const {
     n += terms.n;
     inserted += terms.inserted;
     removed += terms.removed;
+    bytes += terms.bytes();
     if (terms.n == 0) continue;
     if (with_rows != nullptr && with_rows->slices.terms().weights != terms.weights)
       return {Code::invalid_argument,
@@ -100,6 +101,9 @@ Status MemberGroups::check_together(const MemberPush& step) const {
               "all members push weights, or none does"};
     with_rows = contribution.get();
   }
+  if (const std::uint64_t most = coordinator_.options().bulk_bytes_max; bytes > most)
+    return {Code::too_large, fmt::format("the members push {} bytes together, at most {} are taken", bytes, most),
+            "start the service with a larger --bulk-bytes, or on a larger machine"};
   const scene::SceneState& scene = coordinator_.scenes().find(step.scene)->now();
   return scene.step ? scene::check_conserved(step.scene, scene.n, n, inserted, removed) : Status();
 }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <numeric>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -83,12 +84,20 @@ Buffer<std::uint64_t> order_by_id(const Buffer<particles::Id>& ids) {
   return order;
 }
 
+std::uint64_t secret(comm::Comm& comm) {
+  std::uint64_t drawn = 0;
+  if (comm.rank() == 0) drawn = (std::uint64_t{std::random_device()()} << 32U) + std::random_device()();
+  comm.broadcast(std::as_writable_bytes(std::span(&drawn, 1)), 0);
+  return drawn;
+}
+
 std::optional<particles::Id> duplicate_id(comm::Comm& comm, std::span<const particles::Id> ids,
                                           std::uint64_t& greatest) {
   comm.all_max({&greatest, 1});
   const auto ranks = static_cast<std::uint64_t>(comm.size());
   std::vector<Buffer<particles::Id>> to(ranks);
-  for (const particles::Id id : ids) to[mix64(static_cast<std::uint64_t>(id)) % ranks].push_back(id);
+  const std::uint64_t key = secret(comm);  // else ids could be chosen that one rank would get them all
+  for (const particles::Id id : ids) to[mix64(static_cast<std::uint64_t>(id) + key) % ranks].push_back(id);
   std::vector<std::uint64_t> to_counts(ranks), from_counts(ranks);
   for (std::size_t r = 0; r < ranks; ++r) to_counts[r] = to[r].size();
   comm::exchange_counts(comm, to_counts, from_counts);

@@ -55,6 +55,9 @@ void put_in_order(Buffer<T>& values, const Buffer<Slot>& order, Buffer<std::byte
   values.shrink();
 }
 
+// A random number that no client can guess, the same on all ranks. Collective.
+std::uint64_t secret(comm::Comm& comm);
+
 // The smallest id that occurs more than once on all ranks together; nothing if all are distinct. `greatest` becomes
 // that of all ranks. Collective.
 std::optional<particles::Id> duplicate_id(comm::Comm& comm, std::span<const particles::Id> ids,

@@ -201,7 +201,8 @@ Status check_set(comm::Comm& comm, Scene& scene, const PushRequest& push, const 
 // Opens the shared memory of the held particles' rows, with room for what is read from it. Local.
 Result<SharedSource> open_source(const Context& context, Scene& scene, const PushRequest& push, Staged& staged) {
   if (context.slices.size() != 1)
-    return Status(Code::internal, fmt::format("rank {} has no slice of the push", context.comm.rank()));
+    return Status(Code::aborted, fmt::format("rank {} has no slice of the push", context.comm.rank()),
+                  "push the step again");
   const std::uint64_t mine = scene.particles.count();
   for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
     if (a < scene.spare.size()) staged.arrays.position[a] = scene.spare[a].release_as<double>();

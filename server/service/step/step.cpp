@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <iterator>
 #include <random>
 #include <utility>
 
@@ -35,9 +36,7 @@ void take_set(Context& context, Scene& scene, Staged& staged) {
   scene.pushed = true;
   if (staged.same) return;
   scene.id_sum = staged.sums.id_sum;
-  std::uint64_t key = 0;
-  if (context.root()) key = (std::uint64_t{std::random_device()()} << 32U) + std::random_device()();
-  context.comm.broadcast(std::as_writable_bytes(std::span(&key, 1)), 0);
+  const std::uint64_t key = secret(context.comm);
   scene.key = {key, sum_ids(scene.particles.id.span(), key)};
   context.comm.all_sum({&scene.key.sum, 1});
 }

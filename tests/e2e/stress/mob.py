@@ -77,7 +77,8 @@ class Mob(Actor):
         self.honest()
 
     def guest(self):
-        guest = self.connect(Guest, self.scene, tcp=self.rng.integers(4) == 0)
+        twin = self.random.choice(self.clients[1:]).session if len(self.clients) > 1 and self.random.random() < 0.1 else None
+        guest = self.connect(Guest, self.scene, tcp=self.rng.integers(4) == 0, session=twin)
         if self.team and self.random.random() < 0.8:
             self.do_open(guest)
         return guest
