@@ -40,7 +40,7 @@ TEST(Session, SaysWelcomeAndAnswersHello) {
   EXPECT_EQ(reply.type, FrameType::reply);
   EXPECT_EQ(reply.json["ranks"], 4);
   EXPECT_EQ(reply.json["version"], "test");
-  EXPECT_EQ(reply.json["limits"]["sessions"], 256);
+  EXPECT_EQ(reply.json["limits"]["sessions"], 1280);
   EXPECT_EQ(reply.json["session"], kAnna);
 }
 
