@@ -6,6 +6,7 @@ import re
 from protocol_client import Client, Refused
 from support import *
 
+
 class FailingService(PreparedService):
     """Its rcbd ends at once as long as there is the file `broken`."""
 

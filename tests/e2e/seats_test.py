@@ -37,7 +37,7 @@ class Crowd:
         self.buffers[made.fileno()] = seat, bytearray()
 
     def hello(self, seat, welcome):
-        document = {"protocol": 1, "client": f"process {seat}", "session": self.sessions[seat]}
+        document = {"protocol": 2, "client": f"process {seat}", "session": self.sessions[seat]}
         if self.token:
             known = self.token, "endpoint", welcome["nonce"], os.urandom(32).hex(), self.sessions[seat]
             document |= {"nonce": known[3], "proof": protocol.proof("client", *known)}

@@ -489,7 +489,7 @@ TEST(Session, WhoSendsALargeRequestSlowlyHoldsUpOnlyLargerOnes) {
     }
   }
   Client other = service.client("other", kBert);
-  other.send_bytes(large_request(9, std::size_t{1} << 19U, false));
+  other.send_bytes(large_request(9, std::size_t{3} << 16U, false));
   EXPECT_EQ(other.receive_but_notices().json["scene"], "s");
 }
 
