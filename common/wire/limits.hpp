@@ -20,10 +20,11 @@ inline constexpr std::size_t kArrayNameMax = 64;
 inline constexpr std::size_t kBytesBeforeHelloMax = 4096;
 inline constexpr double kHelloSecondsMax = 5;
 inline constexpr double kFrameSecondsMax = 30;
-inline constexpr std::size_t kBeforeHelloMax = 64;  // connections to a listener before their hello
-inline constexpr int kSessionsMax = 256;
+inline constexpr std::size_t kBeforeHelloMax = 1024;  // connections to a listener before their hello
+inline constexpr int kSeatsMax = 1024;                // of a scene
+inline constexpr int kSessionsMax = 1280;
 inline constexpr int kSessionsReserved = 4;  // further ones, which may only ask status, scene.list and shutdown
-inline constexpr int kOrdersMax = 512;       // unfinished orders
+inline constexpr int kOrdersMax = 2048;      // unfinished orders
 inline constexpr std::size_t kLargeRequest = std::size_t{64}
                                              << 10U;  // from this size of its JSON on a request is large
 inline constexpr std::uint64_t kLargeRequestBytesMax = std::uint64_t{64} << 20U;  // of all unanswered large requests

@@ -122,9 +122,10 @@ ConnectionLimits connection_limits(int ranks) {
   if (error || ::getrlimit(RLIMIT_NOFILE, &files) != 0) return {wire::kSessionsMax, wire::kBeforeHelloMax};
   const auto most = static_cast<std::int64_t>(std::min<rlim_t>(files.rlim_cur, 1U << 20U));
   const std::int64_t left = std::max<std::int64_t>(most - open - ranks - kFiles, 0);
-  const ConnectionLimits limits{
-      static_cast<int>(std::clamp<std::int64_t>(left / 3, 2, wire::kSessionsMax)),
-      static_cast<std::size_t>(std::clamp<std::int64_t>(left / 16, 1, std::int64_t{wire::kBeforeHelloMax}))};
+  const auto sessions = std::clamp<std::int64_t>(left / 3, 2, wire::kSessionsMax);
+  // As many data connections as sessions; the rest is for those at four listeners that haven't said hello.
+  const auto waiting = std::clamp<std::int64_t>((left - 2 * sessions) / 5, 1, std::int64_t{wire::kBeforeHelloMax});
+  const ConnectionLimits limits{static_cast<int>(sessions), static_cast<std::size_t>(waiting)};
   if (limits.sessions < wire::kSessionsMax)
     spdlog::warn("{} sessions at most, since only {} files may be open (ulimit -n)", limits.sessions, most);
   return limits;

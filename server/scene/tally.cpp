@@ -51,10 +51,6 @@ void add_weights(const CountRecord& record, CountRecord& all) {
 
 }  // namespace
 
-bool Tally::whole() const {
-  return std::ranges::all_of(records_, [](const auto& record) { return record.has_value(); });
-}
-
 Result<CountRecord> Tally::sum(int scene_parts) const {
   CountRecord all = *records_.front();
   all.n = all.bytes = all.inserted = all.removed = 0;

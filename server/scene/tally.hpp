@@ -15,9 +15,12 @@ class Tally {
 
   std::int64_t step() const { return step_; }
   // In place of what the seat has brought before, if anything.
-  void put(std::size_t seat, CountRecord record) { records_.at(seat) = std::move(record); }
+  void put(std::size_t seat, CountRecord record) {
+    if (!has(seat)) ++have_;
+    records_[seat] = std::move(record);
+  }
   bool has(std::size_t seat) const { return records_.at(seat).has_value(); }
-  bool whole() const;
+  bool whole() const { return have_ == records_.size(); }
   // The counts of all seats together. Where they weigh in different scales, `weights->scale` is one that isn't due
   // (scale_due), and the loads mean nothing. Where they were counted by different cuts, `epoch` is 0, that of none.
   // scene_parts: seat k of M has those from floor(k scene_parts / M) on, up to the next seat's; `strangers` are in
@@ -27,6 +30,7 @@ class Tally {
  private:
   std::int64_t step_;
   std::vector<std::optional<CountRecord>> records_;  // by seat
+  std::size_t have_ = 0;
 };
 
 }  // namespace rcb::scene

@@ -146,7 +146,8 @@ class DataPath(Refusals, ServiceTest):
 
     def test_refused_at_the_begin(self):
         points = self.walk[0]
-        with Direct(self.path) as holder, Direct(self.path) as other:
+        with (PreparedService(2, "ulimit -n 512") as service, Direct(service.endpoint) as holder,
+              Direct(service.endpoint) as other):
             holder.ask("scene.create", scene="held", parts=3)
             holder.begin("held", 0, points)
             time.sleep(0.1)
@@ -157,12 +158,12 @@ class DataPath(Refusals, ServiceTest):
             # Before it is looked at, too: for a deadline that is none, and for lack of a seat.
             self.refused("invalid_argument", other.push_directly, "held", 2, points, deadline_seconds=1e9)
             self.assertEqual(other.push_directly("held", 2, points)[0]["report"]["step"], 2)
-            seated = [Client(self.path) for _ in range(254)]
-            with Direct(self.path) as late:
+            seated = [Client(service.endpoint) for _ in range(holder.hello["limits"]["sessions"] - 2)]
+            with Direct(service.endpoint) as late:
                 self.assertIn("sessions are open", self.refused("busy", late.push_directly, "held", 3, points))
                 for client in seated:
                     client.close()
-                self.assertTrue(wait_for(lambda: self.service.json("status")["sessions"] < 10))
+                self.assertTrue(wait_for(lambda: service.json("status")["sessions"] < 10))
                 self.assertEqual(late.push_directly("held", 3, points)[0]["report"]["step"], 3)
 
     def test_over_tcp_and_by_the_gateway_alone(self):

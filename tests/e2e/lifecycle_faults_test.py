@@ -6,24 +6,6 @@ import re
 from protocol_client import Client, Refused
 from support import *
 
-REAL_RCBD = os.path.abspath(os.path.join(BIN, "rcbd"))
-
-
-class PreparedService(Service):
-    """Before its rcbd starts, each rank runs a line of shell."""
-
-    def __init__(self, ranks, line, **kwargs):
-        self.programs = tempfile.mkdtemp(prefix="rcb-e2e-bin-")
-        program = os.path.join(self.programs, "rcbd")
-        write_text(program, f"#!/bin/sh\n{line.format(programs=self.programs)}\nexec {REAL_RCBD} \"$@\"\n")
-        os.chmod(program, 0o755)
-        super().__init__(ranks, env={"RCBD_BIN_DIR": self.programs}, **kwargs)
-
-    def stop(self):
-        down = super().stop()
-        shutil.rmtree(self.programs)
-        return down
-
 
 class FailingService(PreparedService):
     """Its rcbd ends at once as long as there is the file `broken`."""

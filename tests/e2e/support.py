@@ -87,6 +87,23 @@ class Service:
         self.stop()
 
 
+class PreparedService(Service):
+    """Before its rcbd starts, each rank runs a line of shell."""
+
+    def __init__(self, ranks, line, **kwargs):
+        self.programs = tempfile.mkdtemp(prefix="rcb-e2e-bin-")
+        program = os.path.join(self.programs, "rcbd")
+        real = os.path.abspath(os.path.join(BIN, "rcbd"))
+        write_text(program, f"#!/bin/sh\n{line.format(programs=self.programs)}\nexec {real} \"$@\"\n")
+        os.chmod(program, 0o755)
+        super().__init__(ranks, env={"RCBD_BIN_DIR": self.programs}, **kwargs)
+
+    def stop(self):
+        down = super().stop()
+        shutil.rmtree(self.programs)
+        return down
+
+
 class ServiceTest(unittest.TestCase):
     """Tests that share one service and a folder of files."""
     ranks = 2
@@ -250,7 +267,7 @@ def fill_disk(folder, files=0):
             open(os.path.join(folder, f"fill.{i}"), "a").close()
 
 
-__all__ = ["ANOTHER_USER", "BIN", "MPIRUN", "RCBCTL", "Refusals", "Service", "ServiceTest", "awaited", "fill_disk",
-           "free_port", "hard_scenes", "json", "kill", "lammps_melt", "np", "only_root", "os", "process_name",
+__all__ = ["ANOTHER_USER", "BIN", "MPIRUN", "PreparedService", "RCBCTL", "Refusals", "Service", "ServiceTest", "awaited",
+           "fill_disk", "free_port", "hard_scenes", "json", "kill", "lammps_melt", "np", "only_root", "os", "process_name",
            "processes_of", "random_walk", "run", "shutil", "signal", "subprocess", "sys", "tempfile", "text_of", "time",
            "token_of", "unittest", "wait_for", "write_text"]

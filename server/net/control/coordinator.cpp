@@ -270,15 +270,8 @@ std::shared_ptr<OpenPush> Coordinator::find_push(const PushId& id, const Connect
   const auto found = gates_.find(id.scene);
   if (found == gates_.end() || !found->second.push) return nullptr;
   auto push = found->second.push;
-  if (push->round) {
-    const auto& contributions = push->round->contributions;
-    const auto own = std::find_if(contributions.begin(), contributions.end(), [connection](const auto& contribution) {
-      return contribution && contribution->connection.get() == connection;
-    });
-    if (own == contributions.end()) return nullptr;
-    push = *own;
-  }
-  const bool fits = push->number == 0 && push->slices.terms().id == id && push->connection.get() == connection;
+  if (push->round) push = groups_.contribution_of(*push->round, connection);
+  const bool fits = push && push->number == 0 && push->slices.terms().id == id && push->connection.get() == connection;
   return fits ? push : nullptr;
 }
 
@@ -328,24 +321,20 @@ void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
     if (terms.direct(static_cast<int>(r)) && terms.counts[r] > 0) expected[r] = terms.counts[r];
     push->whole[r] = !expected[r];
   }
-  if (!push->ready()) data_->open({push->number, terms}, expected);
+  if (push->ready()) return;
+  receiving_[push->number] = push;
+  data_->open({push->number, terms}, expected);
 }
 
-std::shared_ptr<OpenPush> Coordinator::find_push(std::uint64_t number) const {
-  if (number == 0) return nullptr;
-  for (const auto& [name, gate] : gates_) {
-    if (!gate.push) continue;
-    if (gate.push->number == number) return gate.push;
-    if (!gate.push->round) continue;
-    for (const auto& contribution : gate.push->round->contributions)
-      if (contribution && contribution->number == number) return contribution;
-  }
-  return nullptr;
+void Coordinator::give_back(OpenPush& push) {
+  charged_bytes_ -= std::exchange(push.charged_bytes, 0);
+  receiving_.erase(push.number);
 }
 
 void Coordinator::slice_reported(int rank, const SliceReport& report) {
-  const std::shared_ptr<OpenPush> push = find_push(report.number);
-  if (!push) return;
+  const auto found = receiving_.find(report.number);
+  if (found == receiving_.end()) return;
+  const std::shared_ptr<OpenPush> push = found->second;
   if (!report.status.ok()) return abort(push, report.status);
   std::uint64_t& known = push->arrived_bytes[static_cast<std::size_t>(rank)];
   const std::uint64_t before = std::exchange(known, std::max(known, report.bytes));
@@ -353,6 +342,7 @@ void Coordinator::slice_reported(int rank, const SliceReport& report) {
   if (!report.whole || push->given_up) return;
   push->whole[static_cast<std::size_t>(rank)] = true;
   if (!push->ready()) return;
+  receiving_.erase(report.number);
   if (push->round)
     groups_.contribution_whole(push);
   else

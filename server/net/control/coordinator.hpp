@@ -25,6 +25,8 @@
 #include <optional>
 #include <set>
 #include <string>
+#include <string_view>
+#include <unordered_map>
 #include <utility>
 #include <vector>
 
@@ -125,6 +127,16 @@ struct OrderOptions {
   std::function<void(Answer)> then;              // gets the answer at once, instead of a Pending
 };
 
+// Clients that have a scene open. Some are named, so that the scenes of all clients fit into an answer.
+struct Holders {
+  static constexpr std::size_t kNamed = 8;
+  std::size_t count = 0;
+  std::vector<std::string_view> first;  // in alphabetical order, of sessions that are there
+
+  void add(std::string_view name);
+  std::string in_words() const;  // "a, b and 3 more"
+};
+
 class Coordinator : public std::enable_shared_from_this<Coordinator> {
  public:
   Coordinator(asio::io_context& context, ControlOptions options, Engine& engine);
@@ -180,7 +192,8 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   void arm(const std::shared_ptr<OpenPush>& push, TimePoint end);
   // Counts `bytes` more of the push as arrived. Aborts the push if the budget of all pushes is exceeded.
   void charge(const std::shared_ptr<OpenPush>& push, std::uint64_t bytes);
-  void give_back(OpenPush& push) { charged_bytes_ -= std::exchange(push.charged_bytes, 0); }
+  // Of a push that is given up.
+  void give_back(OpenPush& push);
   MemberGroups& groups() { return groups_; }
   // The open push or contribution with this id, if this connection opened it; else null.
   std::shared_ptr<OpenPush> find_push(const PushId& id, const Connection* connection);
@@ -202,8 +215,8 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   // Ends the receiving and frees the gate. The bytes charged stay charged; the caller passes them to the order.
   void close_push(std::shared_ptr<OpenPush> push);
 
-  // Names of the clients that have the scene open; sessions with the number `except` are left out.
-  std::vector<std::string> members(const std::string& scene, const std::string& except = {}) const;
+  // Sessions with the number `except` are left out.
+  Holders holders(const std::string& scene, const std::string& except = {}) const;
   Status unknown_scene(const std::string& scene) const;
 
   // Finds out whether the log is this service's, for status_json(); returns after a moment where the disk doesn't
@@ -220,8 +233,6 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   void shut_down(const std::string& why, std::function<void()> told);
 
  private:
-  // The open push or contribution with this number; else null.
-  std::shared_ptr<OpenPush> find_push(std::uint64_t number) const;
   // What an order has reserved: its place among the unfinished orders, its scene's gate, bytes of the budget.
   class OrderReservation;
   void take_change(Answer& answer);
@@ -242,6 +253,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   std::map<std::string, std::vector<std::string>> data_addresses_;  // by endpoint
   std::vector<LocalAddress> local_addresses_;
   std::uint64_t pushes_numbered_ = 0;
+  std::unordered_map<std::uint64_t, std::shared_ptr<OpenPush>> receiving_;  // by number: ranks wait for their rows
   scene::Ledgers scenes_;
   scene::Restored restored_;
   std::map<std::string, TimePoint> positions_wanted_;  // when a question last had a scene's positions sent

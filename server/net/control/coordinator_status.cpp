@@ -24,17 +24,27 @@ using wire::Json;
 
 namespace {
 
-constexpr double kLookSeconds = 0.5;      // that `status` waits for the disk
-constexpr std::size_t kHoldersNamed = 8;  // of each scene, so that the scenes of all clients fit into an answer
+constexpr double kLookSeconds = 0.5;  // that `status` waits for the disk
 
 }  // namespace
 
-std::vector<std::string> Coordinator::members(const std::string& scene, const std::string& except) const {
-  std::vector<std::string> names;
+void Holders::add(std::string_view name) {
+  ++count;
+  if (first.size() == kNamed && name >= first.back()) return;
+  first.insert(std::upper_bound(first.begin(), first.end(), name), name);
+  if (first.size() > kNamed) first.pop_back();
+}
+
+std::string Holders::in_words() const {
+  const std::size_t more = count - first.size();
+  return fmt::format("{}{}", fmt::join(first, ", "), more > 0 ? fmt::format(" and {} more", more) : "");
+}
+
+Holders Coordinator::holders(const std::string& scene, const std::string& except) const {
+  Holders holders;
   for (const Session* session : sessions_)
-    if (session->has_open(scene) && (except.empty() || session->number() != except)) names.push_back(session->client());
-  std::sort(names.begin(), names.end());
-  return names;
+    if (session->has_open(scene) && (except.empty() || session->number() != except)) holders.add(session->client());
+  return holders;
 }
 
 Status Coordinator::unknown_scene(const std::string& scene) const {
@@ -58,22 +68,10 @@ Status Coordinator::unknown_scene(const std::string& scene) const {
 }
 
 Json Coordinator::scenes_json() const {
-  struct Holders {
-    std::size_t count = 0;
-    std::vector<std::string_view> first;  // in alphabetical order, kHoldersNamed of them
-  };
-  // Sessions may hold a quarter of a million scenes together: nothing is copied.
+  // Sessions may hold a million scenes together: nothing is copied.
   std::unordered_map<std::string_view, Holders> holders;
   for (const Session* session : sessions_)
-    for (const std::string& scene : session->open()) {
-      Holders& of_scene = holders[scene];
-      ++of_scene.count;
-      std::vector<std::string_view>& first = of_scene.first;
-      const std::string_view name = session->client();
-      if (first.size() == kHoldersNamed && name >= first.back()) continue;
-      first.insert(std::upper_bound(first.begin(), first.end(), name), name);
-      if (first.size() > kHoldersNamed) first.pop_back();
-    }
+    for (const std::string& scene : session->open()) holders[scene].add(session->client());
   Json scenes = Json::array();
   for (const auto& [name, ledger] : scenes_) {
     const Holders& of_scene = holders[name];

@@ -15,6 +15,12 @@ namespace {
 
 constexpr const char* kRepeat = "the previous step stands; count or push again";
 
+// To all that have counted.
+void tell_counting(const MemberCount& counting, FrameType type, const std::string& json) {
+  for (const auto& begin : counting.waiting)
+    if (begin) begin->connection->send_text(type, begin->request, json);
+}
+
 }  // namespace
 
 Status MemberGroups::count(CountBegin begin) {
@@ -45,14 +51,18 @@ Status MemberGroups::count(CountBegin begin) {
   begin.session = scene::session_key(begin.record->session);
   counting.tally.put(*seat, std::move(*begin.record));
   begin.record.reset();
+  const TimePoint end = begin.end;
   const auto older = std::exchange(counting.waiting[*seat], std::move(begin));
-  if (older)
+  const TimePoint before = counting.end;
+  if (older) {
     older->connection->send(FrameType::failure, older->request,
                             wire::failure_json({Code::aborted, "a newer count by the same member replaced it"}));
-  counting.end = TimePoint::max();  // that of a count that was replaced counts no more
-  for (const auto& one : counting.waiting)
-    if (one) counting.end = std::min(counting.end, one->end);
-  counting.timer.cancel();  // so that the deadline is heeded
+    counting.end = TimePoint::max();  // that of a count that was replaced counts no more
+    for (const auto& one : counting.waiting)
+      if (one) counting.end = std::min(counting.end, one->end);
+  }
+  counting.end = std::min(counting.end, end);
+  if (counting.end != before) counting.timer.cancel();  // so that the deadline is heeded
   if (counting.tally.whole()) decide(*group, *ledger);
   return {};
 }
@@ -83,8 +93,7 @@ void MemberGroups::close_count(Group& group, FrameType type, const std::string& 
   if (counting == nullptr) return;
   counting->over = true;
   counting->timer.cancel();
-  for (const auto& begin : counting->waiting)
-    if (begin) begin->connection->send_text(type, begin->request, json);
+  tell_counting(*counting, type, json);
 }
 
 void MemberGroups::open_count(const std::string& scene, std::int64_t step, Group& group) {
@@ -118,8 +127,7 @@ awaitable<void> MemberGroups::watch_count(std::shared_ptr<Coordinator> self, std
     if (now() < notice_at) continue;
     const std::string notice = fmt::format("step {} of scene '{}' has waited {:.0f} s for {}", counting->tally.step(),
                                            scene, seconds_since(counting->started), missing(scene, *counting));
-    for (const auto& begin : counting->waiting)
-      if (begin) begin->connection->send(FrameType::notice, begin->request, {{"notice", notice}});
+    tell_counting(*counting, FrameType::notice, wire::dump_json({{"notice", notice}}));
     notice_at = now() + duration_of(self->options().notice_seconds);
   }
 }

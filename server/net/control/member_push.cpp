@@ -13,7 +13,17 @@
 namespace rcb::net {
 
 using wire::FrameType;
-using wire::Json;
+
+namespace {
+
+// To all that have begun.
+void tell_pushing(const std::vector<std::shared_ptr<OpenPush>>& contributions, FrameType type, const wire::Json& json) {
+  const std::string text = wire::dump_json(json);
+  for (const auto& one : contributions)
+    if (one) one->connection->send_text(type, one->request, text);
+}
+
+}  // namespace
 
 Status MemberGroups::begin(ContributionBegin begin) {
   const std::string& scene = begin.id.scene;
@@ -41,7 +51,8 @@ Status MemberGroups::begin(ContributionBegin begin) {
     return {Code::invalid_argument,
             fmt::format("member {} pushes step {}, the others push step {}", member, begin.id.step, step->step),
             "all members push the same step"};
-  if (const auto older = step ? step->contributions[member] : nullptr) {
+  const auto older = step ? step->contributions[member] : nullptr;
+  if (older) {
     const PushId& id = older->slices.terms().id;
     if (id.session != begin.id.session || id.attempt >= begin.id.attempt)
       return {Code::busy, fmt::format("member {} is pushing step {} already", member, step->step), "finish it first"};
@@ -59,10 +70,15 @@ Status MemberGroups::begin(ContributionBegin begin) {
   contribution->member = static_cast<int>(member);
   contribution->end = begin.end;
   step->contributions[member] = contribution;
-  step->end = TimePoint::max();  // that of a contribution that was replaced counts no more
-  for (const auto& one : step->contributions)
-    if (one) step->end = std::min(step->end, one->end);
-  coordinator_.arm(step->front.lock(), step->end);
+  if (!older) ++step->begun;
+  step->ready = std::min(step->ready, member);
+  TimePoint end = std::min(step->end, begin.end);
+  if (older) {  // its end counts no more
+    end = TimePoint::max();
+    for (const auto& one : step->contributions)
+      if (one) end = std::min(end, one->end);
+  }
+  if (std::exchange(step->end, end) != end) coordinator_.arm(step->front.lock(), end);
   if (contribution->slices.terms().direct()) coordinator_.receive_directly(contribution);
   if (Status fits = check_together(*step); !fits.ok()) abort(step, nullptr, fits);
   if (contribution->given_up) return {};
@@ -83,10 +99,10 @@ void MemberGroups::withdraw(OpenPush& contribution) {
 }
 
 Status MemberGroups::check_together(const MemberPush& step) const {
+  if (step.begun < step.contributions.size()) return {};
   std::uint64_t n = 0, inserted = 0, removed = 0, bytes = 0;
   const OpenPush* with_rows = nullptr;
   for (const auto& contribution : step.contributions) {
-    if (!contribution) return {};
     const PushTerms& terms = contribution->slices.terms();
     n += terms.n;
     inserted += terms.inserted;
@@ -124,7 +140,7 @@ std::shared_ptr<MemberPush> MemberGroups::open_step(const std::string& scene, st
 
 void MemberGroups::contribution_whole(const std::shared_ptr<OpenPush>& contribution) {
   const auto step = contribution->round;
-  if (std::ranges::all_of(step->contributions, [](const auto& one) { return one && one->ready(); })) order(step);
+  if (step->all_ready()) order(step);
 }
 
 void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
@@ -134,7 +150,7 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   options.deadline_seconds = std::chrono::duration<double>(step->end - step->started).count();
   request["deadline_seconds"] = options.deadline_seconds;
   const std::shared_ptr<Coordinator> coordinator = coordinator_.shared_from_this();
-  options.then = [coordinator, step](const Answer& answer) { coordinator->groups().answered(step, answer); };
+  options.then = [coordinator, step](Answer answer) { coordinator->groups().answered(step, std::move(answer)); };
   coordinator_.close_push(step->front.lock());
   step->ordered = true;
   const auto pending = coordinator_.order(std::move(request), std::move(options));
@@ -145,40 +161,26 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   answered(step, api::failed(pending.status()));
 }
 
-void MemberGroups::send(const OpenPush& contribution, const Answer& answer) {
-  Json json = answer.json;
-  std::vector<wire::Array> arrays;  // of cuts, for who has said which it knows
-  bool fits = true;
-  if (!contribution.slices.terms().cuts_known) {
-    json.erase("cuts");
-  } else {
-    for (const wire::Array& array : answer.arrays) {
-      wire::Array& own = arrays.emplace_back(wire::Array{array.name, array.dtype, array.shape, {}});
-      fits = fits && own.bytes.try_reserve(array.bytes.size());
-      if (fits) own.bytes.assign(array.bytes.span());
-    }
-  }
-  Connection& connection = *contribution.connection;
-  const Status sent =
-      fits ? connection.send_message(FrameType::reply, contribution.request, std::move(json), std::move(arrays))
-           : Status(Code::busy, "the step is committed, and there is no memory for its answer", "push it again");
-  if (!sent.ok()) connection.send(FrameType::failure, contribution.request, wire::failure_json(sent));
-}
-
-void MemberGroups::answered(const std::shared_ptr<MemberPush>& step, const Answer& answer) {
+void MemberGroups::answered(const std::shared_ptr<MemberPush>& step, Answer answer) {
   const auto contributions = std::exchange(step->contributions, {});
   const bool told = std::exchange(step->over, true);
   step->timer.cancel();
   if (!answer.status.ok())
     spdlog::info("step {} of scene '{}' by {} members: {}: {}", step->step, step->scene, contributions.size(),
                  code_name(answer.status.code()), answer.status.message());
-  for (const auto& contribution : contributions) {
-    if (told) break;
-    if (answer.status.ok())
-      send(*contribution, answer);
+  if (told) return;
+  if (!answer.status.ok()) return tell_pushing(contributions, FrameType::failure, wire::failure_json(answer.status));
+  const auto arrays = std::make_shared<const std::vector<wire::Array>>(std::move(answer.arrays));
+  if (!arrays->empty()) answer.json["arrays"] = wire::describe(*arrays);
+  const std::string with_cuts = wire::dump_json(answer.json);  // for who has said which it knows
+  answer.json.erase("cuts");
+  answer.json.erase("arrays");
+  const std::string text = wire::dump_json(answer.json);
+  for (const auto& one : contributions)
+    if (one->slices.terms().cuts_known)
+      one->connection->send_text(FrameType::reply, one->request, with_cuts, arrays);
     else
-      contribution->connection->send(FrameType::failure, contribution->request, wire::failure_json(answer.status));
-  }
+      one->connection->send_text(FrameType::reply, one->request, text);
 }
 
 void MemberGroups::abort(const std::shared_ptr<MemberPush>& step, const OpenPush* contribution, const Status& why) {
@@ -193,13 +195,14 @@ void MemberGroups::abort(const std::shared_ptr<MemberPush>& step, const OpenPush
   step->timer.cancel();
   front->given_up = true;
   coordinator_.close_push(front);
-  for (const auto& one : std::exchange(step->contributions, {})) {
+  const auto contributions = std::exchange(step->contributions, {});
+  for (const auto& one : contributions) {
     if (!one) continue;
     one->given_up = true;
     if (one->number != 0) coordinator_.refuse_directly(one->slices.terms().id);
     coordinator_.give_back(*one);
-    one->connection->send(FrameType::failure, one->request, wire::failure_json(named));
   }
+  tell_pushing(contributions, FrameType::failure, wire::failure_json(named));
   coordinator_.erase_gate_if_unused(step->scene);
 }
 
@@ -211,19 +214,16 @@ awaitable<void> MemberGroups::watch(std::shared_ptr<Coordinator> self, std::shar
     co_await step->timer.async_wait(kAwait);
     if (step->over) break;
     if (step->ordered && now() >= step->end) {
-      for (const auto& contribution : step->contributions)
-        contribution->connection->send(
-            FrameType::failure, contribution->request,
-            wire::failure_json({Code::deadline_exceeded,
-                                fmt::format("step {} wasn't committed at its deadline; it goes on", step->step),
-                                "push it again to hear what came of it"}));
+      tell_pushing(step->contributions, FrameType::failure,
+                   wire::failure_json({Code::deadline_exceeded,
+                                       fmt::format("step {} wasn't committed at its deadline; it goes on", step->step),
+                                       "push it again to hear what came of it"}));
       step->over = true;
       break;
     }
     const std::string notice = fmt::format("step {} of scene '{}' has waited {:.0f} s for {}", step->step, step->scene,
                                            seconds_since(step->started), step->ordered ? "the engine" : missing(*step));
-    for (const auto& contribution : step->contributions)
-      if (contribution) contribution->connection->send(FrameType::notice, contribution->request, {{"notice", notice}});
+    tell_pushing(step->contributions, FrameType::notice, {{"notice", notice}});
   }
 }
 

@@ -25,7 +25,7 @@ Result<std::optional<Membership>> read_membership(const Json& request) {
   if (!given("member") && !given("members")) return std::optional<Membership>();
   wire::FieldReader fields(request);
   Membership asked;
-  asked.members = static_cast<int>(fields.integer("members", 1, wire::kSessionsMax));
+  asked.members = static_cast<int>(fields.integer("members", 1, wire::kSeatsMax));
   asked.member = static_cast<int>(fields.integer("member", 0, asked.members - 1));
   asked.generation = static_cast<std::uint64_t>(fields.integer_or("generation", 1, wire::kIntegerMax - 1, 0));
   if (!fields.ok()) return fields.status();
@@ -36,6 +36,11 @@ std::string MemberPush::progress() const {
   const auto whole = std::count_if(contributions.begin(), contributions.end(),
                                    [](const auto& contribution) { return contribution && contribution->ready(); });
   return fmt::format("{} of {} members", whole, contributions.size());
+}
+
+bool MemberPush::all_ready() {
+  while (ready < contributions.size() && contributions[ready] && contributions[ready]->ready()) ++ready;
+  return ready == contributions.size();
 }
 
 bool MemberPush::awaits(const Connection* connection) const {
@@ -58,10 +63,13 @@ const MemberGroups::Group* MemberGroups::find(const std::string& scene) const {
 
 bool MemberGroups::knows(const std::string& scene, const Connection* connection) const {
   const Group* group = find(scene);
-  return group != nullptr && std::any_of(group->seats.begin(), group->seats.end(), [&](const Seat& seat) {
-           return seat.connection == connection ||
-                  std::find(seat.former.begin(), seat.former.end(), connection) != seat.former.end();
-         });
+  return group != nullptr && group->seat_by_connection.contains(connection);
+}
+
+std::shared_ptr<OpenPush> MemberGroups::contribution_of(const MemberPush& step, const Connection* connection) const {
+  const Group* group = find(step.scene);
+  const auto member = group == nullptr || step.over ? std::nullopt : seat_of(*group, connection);
+  return member ? step.contributions[*member] : nullptr;
 }
 
 std::string MemberGroups::holders(const std::string& scene) const {
@@ -110,12 +118,10 @@ Result<Membership> MemberGroups::join(const std::string& scene, Membership wante
                   fmt::format("member {} of scene '{}' has had generation {}; {} is not above it", wanted.member, scene,
                               seat.generation, wanted.generation),
                   "a member that returns comes with a higher generation");
-  if (seat.connection != nullptr) {
-    const Connection* older = seat.connection;
-    abort_step_because_of(scene, static_cast<std::size_t>(wanted.member),
-                          fmt::format("has returned with generation {}", wanted.generation));
-    seat.former.push_back(older);
-  }
+  const auto member = static_cast<std::size_t>(wanted.member);
+  if (seat.connection != nullptr)
+    abort_step_because_of(scene, member, fmt::format("has returned with generation {}", wanted.generation));
+  group->seat_by_connection[connection] = member;
   seat.connection = connection;
   seat.client = client;
   seat.generation_before = std::exchange(seat.generation, wanted.generation);
@@ -123,24 +129,21 @@ Result<Membership> MemberGroups::join(const std::string& scene, Membership wante
 }
 
 std::optional<std::size_t> MemberGroups::seat_of(const Group& group, const Connection* connection) {
-  const auto seat = std::ranges::find(group.seats, connection, &Seat::connection);
-  if (seat == group.seats.end()) return std::nullopt;
-  return static_cast<std::size_t>(seat - group.seats.begin());
+  const auto found = group.seat_by_connection.find(connection);
+  if (found == group.seat_by_connection.end() || group.seats[found->second].connection != connection)
+    return std::nullopt;
+  return found->second;
 }
 
 void MemberGroups::leave(const std::string& scene, const Connection* connection, const std::string& why) {
   Group* group = find(scene);
   if (group == nullptr) return;
-  for (std::size_t k = 0; k < group->seats.size(); ++k) {
-    Seat& seat = group->seats[k];
-    std::erase(seat.former, connection);
-    if (seat.connection != connection) continue;
-    abort_step_because_of(scene, k, why);
-    seat.connection = nullptr;
+  if (const auto member = seat_of(*group, connection)) {
+    abort_step_because_of(scene, *member, why);
+    group->seats[*member].connection = nullptr;
   }
-  const auto in_use = [](const Seat& seat) { return seat.connection != nullptr || !seat.former.empty(); };
-  if (!coordinator_.scenes().contains(scene) && std::none_of(group->seats.begin(), group->seats.end(), in_use))
-    groups_.erase(scene);
+  group->seat_by_connection.erase(connection);
+  if (!coordinator_.scenes().contains(scene) && group->seat_by_connection.empty()) groups_.erase(scene);
 }
 
 void MemberGroups::give_back_seat(const std::string& scene, const Connection* connection) {

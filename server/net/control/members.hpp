@@ -15,6 +15,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <unordered_map>
 #include <vector>
 
 #include "common/base/status.hpp"
@@ -49,6 +50,8 @@ struct MemberPush {
   std::string scene;
   std::int64_t step;
   std::vector<std::shared_ptr<OpenPush>> contributions;  // by member; null: not begun
+  std::size_t begun = 0;                                 // how many are begun
+  std::size_t ready = 0;                                 // those before this one were ready when last looked at
   std::weak_ptr<OpenPush> front;                         // the OpenPush in the gate
   Timer timer;                                           // until the next notice to waiting members
   TimePoint started = now();
@@ -59,6 +62,7 @@ struct MemberPush {
   // Whether this connection has begun a contribution that isn't complete, so that its slices must come next.
   bool awaits(const Connection* connection) const;
   std::string progress() const;  // "2 of 4 members"
+  bool all_ready();
 };
 
 // A member's push.begin.
@@ -111,6 +115,8 @@ class MemberGroups {
   void give_back_seat(const std::string& scene, const Connection* connection);
   // Whether the connection holds a seat of the scene, or held one that a later generation has taken.
   bool knows(const std::string& scene, const Connection* connection) const;
+  // What this connection has begun of the step; else null.
+  std::shared_ptr<OpenPush> contribution_of(const MemberPush& step, const Connection* connection) const;
   // "4 members" if any seat of the scene is taken; else "".
   std::string holders(const std::string& scene) const;
   // Errors: busy, if members hold the scene, so that others may not push it.
@@ -137,11 +143,12 @@ class MemberGroups {
     std::uint64_t generation = 0;            // 0: never taken
     std::uint64_t generation_before = 0;     // that of whoever had the seat before
     const Connection* connection = nullptr;  // null: free
-    std::vector<const Connection*> former;   // lost the seat to a later generation but are still open
   };
   struct Group {
     std::shared_ptr<MemberCount> counting;  // null: no step is being counted
     std::vector<Seat> seats;
+    // Of each connection that has a seat, or has lost it to a later generation and is still open.
+    std::unordered_map<const Connection*, std::size_t> seat_by_connection;
   };
 
   static std::optional<std::size_t> seat_of(const Group& group, const Connection* connection);
@@ -162,15 +169,13 @@ class MemberGroups {
   std::string name(const std::string& scene, std::size_t member) const;
   std::string missing(const MemberPush& step) const;
   std::string names_of(const std::string& scene, std::span<const std::size_t> members) const;  // of eight, at most
-  // Answers a member's push.begin with the step's answer.
-  static void send(const OpenPush& contribution, const Answer& answer);
   // Takes out a contribution that a newer attempt replaces.
   void withdraw(OpenPush& contribution);
   // When all members have begun: what they bring must fit together. Errors: invalid_argument, not_conserved.
   Status check_together(const MemberPush& step) const;
   std::shared_ptr<MemberPush> open_step(const std::string& scene, std::int64_t step, const Group& group);
   void order(const std::shared_ptr<MemberPush>& step);
-  void answered(const std::shared_ptr<MemberPush>& step, const Answer& answer);
+  void answered(const std::shared_ptr<MemberPush>& step, Answer answer);
   awaitable<void> watch(std::shared_ptr<Coordinator> self, std::shared_ptr<MemberPush> step);
 
   Coordinator& coordinator_;

@@ -282,10 +282,10 @@ awaitable<void> Session::scene_change(Request& request) {
   const bool loads = request.command == "load";
   if (turn.ok() && loads) turn = coordinator_->groups().check_free(*scene);
   if (turn.ok() && (drops || changes || loads)) {
-    const auto holders = coordinator_->members(*scene, number_);
-    if (!holders.empty())
+    const Holders holders = coordinator_->holders(*scene, number_);
+    if (holders.count > 0)
       turn = Status(
-          Code::busy, fmt::format("scene '{}' is held open by {}", *scene, fmt::join(holders, ", ")),
+          Code::busy, fmt::format("scene '{}' is held open by {}", *scene, holders.in_words()),
           changes ? "try again when it is closed; with \"force\" (--force) its parts change all the same, and the next "
                     "step's report tells"
                   : "try again when it is closed");
@@ -382,8 +382,10 @@ void Session::reply(const Request& request, Answer answer) {
   if (const scene::Ledger* ledger = coordinator_->scenes().find(request.json.value("scene", ""));
       request.command == "scene.create" && ledger != nullptr)
     answer = api::describe(*ledger, coordinator_->options().ranks);
-  if (request.command == "scene.show" || request.command == "scene.open" || request.command == "scene.create")
-    answer.json["members"] = coordinator_->members(request.json.value("scene", ""));
+  if (request.command == "scene.show" || request.command == "scene.open" || request.command == "scene.create") {
+    const Holders holders = coordinator_->holders(request.json.value("scene", ""));
+    answer.json.update({{"members", holders.first}, {"members_count", holders.count}});
+  }
   if (request.command == "scene.open" && request.json.contains("membership"))
     answer.json["membership"] = request.json["membership"];
   std::shared_ptr<void> held;

@@ -83,7 +83,7 @@ awaitable<Status> Session::wait_for_positions(const Request& request) {
     const scene::Ledger* ledger = coordinator_->scenes().find(scene);
     return ledger != nullptr && ledger->now().options.positions == scene::Travel::when_needed &&
            ledger->now().positions_step != ledger->now().step && !has_open(scene) &&
-           !coordinator_->members(scene, number_).empty();
+           coordinator_->holders(scene, number_).count > 0;
   };
   const auto held = wire::bool_field(request.json, "held");
   if (!held.ok()) co_return held.status();
@@ -136,8 +136,8 @@ awaitable<void> Session::count(Request& request) {
   if (status.ok()) {
     SceneGate& gate = coordinator_->gate(id->scene);
     const auto ready = [&gate] { return gate.changes_unfinished == 0 && gate.push == nullptr; };
-    // A member is told that others push the step.
-    const auto joins = [&gate, member] { return member && gate.push && gate.push->round; };
+    // A member keeps nobody waiting, so it need not queue; where others push the step it is told so.
+    const auto joins = [&gate, member, ready] { return member && (ready() || (gate.push && gate.push->round)); };
     status = co_await wait_turn(request, id->scene, ready, joins);
   }
   if (status.ok()) status = member ? count_as_member(request, *id) : count_alone(request, *id);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <list>
+#include <map>
 #include <set>
 #include <type_traits>
 #include <utility>
@@ -33,8 +34,9 @@ struct DataPort::State : std::enable_shared_from_this<State> {
 
   asio::io_context& context() const { return loop.context(); }
 
-  void wake() {
-    for (Timer* timer : waiting) timer->cancel();
+  void wake(const PushId& id) {
+    const auto [first, end] = waiting.equal_range(id);
+    for (auto one = first; one != end; ++one) one->second->cancel();
   }
 
   // Waits until the push of a slice is opened. Null if the push has ended or isn't opened in time, or if the client has
@@ -49,7 +51,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
         co_return nullptr;
       }
       Timer timer(context(), std::min(late, now() + std::chrono::seconds(1)));
-      const auto place = waiting.insert(waiting.end(), &timer);
+      const auto place = waiting.emplace(id, &timer);
       co_await timer.async_wait(kAwait);
       waiting.erase(place);
     }
@@ -231,7 +233,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
   std::set<std::shared_ptr<Connection>> connections;  // after hello
   IncomingSlices slices;
   SharedMemories memories;
-  std::list<Timer*> waiting;  // of slices whose push isn't open yet
+  std::multimap<PushId, Timer*> waiting;  // of slices whose push isn't open yet
 };
 
 DataPort::DataPort(IoLoop& loop, DataOptions options) : state_(std::make_shared<State>(loop, std::move(options))) {}
@@ -257,13 +259,14 @@ void DataPort::start(Report report) {
 void DataPort::finish() { state_->stop(); }
 
 void DataPort::open(PushTicket ticket) {
+  const PushId id = ticket.terms.id;
   state_->slices.open(std::move(ticket));
-  state_->wake();
+  state_->wake(id);
 }
 
 void DataPort::drop(const PushId& id) {
   state_->slices.drop(id);
-  state_->wake();
+  state_->wake(id);
 }
 
 std::optional<Slice> DataPort::take(std::uint64_t number) { return state_->slices.take(number); }

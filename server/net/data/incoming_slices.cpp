@@ -41,9 +41,8 @@ void IncomingSlices::remember_ended(const PushId& id) {
 }
 
 std::shared_ptr<Incoming> IncomingSlices::find(const PushId& id) const {
-  for (const auto& [number, push] : pushes_)
-    if (push->ticket.terms.id == id) return push;
-  return nullptr;
+  const auto found = numbers_.find(id);
+  return found == numbers_.end() ? nullptr : pushes_.at(found->second);
 }
 
 void IncomingSlices::lose(const Connection& connection, const std::string& why) {
@@ -73,6 +72,7 @@ void IncomingSlices::open(PushTicket ticket) {
   }
   ended_.erase(terms.id);  // the client repeats an attempt that had ended
   pushes_[push->ticket.number] = push;
+  numbers_[terms.id] = push->ticket.number;
   if (!fits)
     end(push, {Code::too_large, fmt::format("rank {} has no memory for {} particles", rank_, push->ticket.terms.n)});
   else if (terms.n == 0)
@@ -83,16 +83,23 @@ void IncomingSlices::drop(const PushId& id) {
   if (const auto push = find(id)) {
     push->over = true;
     push->arrays.clear();
-    pushes_.erase(push->ticket.number);
+    forget(*push);
   }
   remember_ended(id);
+}
+
+void IncomingSlices::forget(const Incoming& push) {
+  pushes_.erase(push.ticket.number);
+  if (const auto named = numbers_.find(push.ticket.terms.id);
+      named != numbers_.end() && named->second == push.ticket.number)
+    numbers_.erase(named);
 }
 
 std::optional<Slice> IncomingSlices::take(std::uint64_t number) {
   const auto found = pushes_.find(number);
   if (found == pushes_.end()) return std::nullopt;
   const std::shared_ptr<Incoming> push = found->second;
-  pushes_.erase(found);
+  forget(*push);
   const PushTerms& terms = push->ticket.terms;
   remember_ended(terms.id);
   if (push->have != terms.n) return std::nullopt;

@@ -95,7 +95,10 @@ class IncomingSlices {
 
   int rank_;
   Report report_;
+  void forget(const Incoming& push);
+
   std::map<std::uint64_t, std::shared_ptr<Incoming>> pushes_;  // by the push's number
+  std::map<PushId, std::uint64_t> numbers_;                    // of these; of two with one id the latest's
   std::set<PushId> ended_;
   std::deque<PushId> ended_in_turn_;  // in order; may name pushes that were opened again since
   Pool pool_;

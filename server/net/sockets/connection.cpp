@@ -325,17 +325,13 @@ awaitable<Status> Connection::skip_bulk(const Frame& frame, std::uint64_t bytes)
 Status Connection::send_message(wire::FrameType type, std::uint64_t request, wire::Json json,
                                 std::vector<wire::Array> arrays, std::shared_ptr<void> held) {
   if (broken_) return {};
-  wire::FrameHeader header;
-  header.type = type;
-  header.request = request;
-  for (const wire::Array& array : arrays) header.bulk_bytes += array.bytes.size();
   if (!arrays.empty()) json["arrays"] = wire::describe(arrays);
   const std::string text = wire::dump_json(json);
   if (text.size() > wire::kReplyJsonBytesMax)
     return {Code::internal,
             fmt::format("the answer has {} bytes of JSON, a frame takes {}", text.size(), wire::kReplyJsonBytesMax),
             "ask for less of it"};  // our bug: every answer is made to fit
-  enqueue({wire::encode_frame(header, text), std::move(arrays), std::move(held)});
+  send_text(type, request, text, std::make_shared<const std::vector<wire::Array>>(std::move(arrays)), std::move(held));
   return {};
 }
 
@@ -343,16 +339,19 @@ void Connection::send(wire::FrameType type, std::uint64_t request, const wire::J
   send_text(type, request, wire::dump_json(json));
 }
 
-void Connection::send_text(wire::FrameType type, std::uint64_t request, const std::string& json) {
+void Connection::send_text(wire::FrameType type, std::uint64_t request, const std::string& json,
+                           std::shared_ptr<const std::vector<wire::Array>> arrays, std::shared_ptr<void> held) {
   if (broken_) return;
   wire::FrameHeader header;
   header.type = type;
   header.request = request;
-  enqueue({wire::encode_frame(header, json), {}});
+  if (arrays)
+    for (const wire::Array& array : *arrays) header.bulk_bytes += array.bytes.size();
+  enqueue({wire::encode_frame(header, json), std::move(arrays), std::move(held)});
 }
 
 void Connection::send_shared(std::shared_ptr<const std::string> frame) {
-  if (!broken_) enqueue({{}, {}, nullptr, std::move(frame)});
+  if (!broken_) enqueue({{}, nullptr, nullptr, std::move(frame)});
 }
 
 void Connection::enqueue(Outgoing outgoing) {
@@ -369,8 +368,8 @@ awaitable<void> Connection::write_all() {
     const Outgoing outgoing = std::move(queue_.front());
     queue_.pop_front();
     bool sent = co_await write_span(std::as_bytes(std::span(outgoing.frame ? *outgoing.frame : outgoing.head)));
-    for (std::size_t i = 0; sent && i < outgoing.arrays.size(); ++i)
-      sent = co_await write_span(outgoing.arrays[i].bytes.span());
+    for (std::size_t i = 0; sent && outgoing.arrays && i < outgoing.arrays->size(); ++i)
+      sent = co_await write_span((*outgoing.arrays)[i].bytes.span());
     if (!sent) close();
   }
   if (closes_when_sent_) close();

@@ -76,7 +76,10 @@ class Connection : public std::enable_shared_from_this<Connection> {
                       std::shared_ptr<void> held = nullptr);
   // For short messages of the service itself.
   void send(wire::FrameType type, std::uint64_t request, const wire::Json& json);
-  void send_text(wire::FrameType type, std::uint64_t request, const std::string& json);
+  // For what others are sent as well: the JSON's text, which describes the arrays.
+  void send_text(wire::FrameType type, std::uint64_t request, const std::string& json,
+                 std::shared_ptr<const std::vector<wire::Array>> arrays = nullptr,
+                 std::shared_ptr<void> held = nullptr);
   // Waits until everything is sent or the connection is broken.
   awaitable<void> flush();
   // A whole frame that others send as well.
@@ -98,7 +101,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
  private:
   struct Outgoing {
     std::string head;
-    std::vector<wire::Array> arrays;
+    std::shared_ptr<const std::vector<wire::Array>> arrays = nullptr;
     std::shared_ptr<void> held = nullptr;
     std::shared_ptr<const std::string> frame = nullptr;  // instead of `head`
   };

@@ -25,7 +25,7 @@ class LargeJson : public asio::execution_context::service {
   using key_type = LargeJson;
   static asio::execution_context::id id;
   static constexpr int kTextsMax = 4;
-  static constexpr std::uint64_t kWithoutPlaceBytes = std::uint64_t{1} << 20U;
+  static constexpr std::uint64_t kWithoutPlaceBytes = std::uint64_t{256} << 10U;
 
   // context: an io_context; Asio's use_service() knows it by its base class.
   explicit LargeJson(asio::execution_context& context, SideThread::Start start = {})

@@ -21,6 +21,9 @@
 namespace rcb::net {
 namespace {
 
+// Connections that the kernel keeps until they are taken, as far as the system lets it (net.core.somaxconn).
+constexpr int kBacklog = 4096;
+
 // Removes a socket on which nobody listens. Errors: busy, io_error.
 Status remove_stale(const std::string& path) {
   switch (socket_state(path)) {
@@ -67,7 +70,7 @@ Result<BoundSocket> bind_unix(const std::string& path) {
   if (!socket.open() || ::fchmod(socket.get(), 0600) != 0 || ::bind(socket.get(), where, sizeof(address)) != 0)
     return cannot_listen(path, errno);
   SocketName name(path);
-  if (::listen(socket.get(), asio::socket_base::max_listen_connections) != 0) return cannot_listen(path, errno);
+  if (::listen(socket.get(), kBacklog) != 0) return cannot_listen(path, errno);
   return BoundSocket{std::move(socket), std::move(name)};
 }
 
@@ -173,7 +176,7 @@ Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& whe
   if (!error && endpoint.address().is_unspecified() && endpoint.address().is_v6())
     acceptor.set_option(asio::ip::v6_only(false), error);  // IPv4 too, whatever the system's default is
   if (!error) acceptor.bind(endpoint, error);
-  if (!error) acceptor.listen(asio::socket_base::max_listen_connections, error);
+  if (!error) acceptor.listen(kBacklog, error);
   if (error == asio::error::address_in_use)
     return Status(Code::busy, fmt::format("{} is in use by another program", where),
                   "give the service another port, with --endpoint");

@@ -69,8 +69,8 @@ class Reader {
 
   // What has come to this rank of a member's block; of one by the endpoint, to rank 0. Null: nothing.
   PushSlice* slice_of(const Block& block) {
-    const auto found = std::ranges::find(context_.slices, block.member, &PushSlice::member);
-    return found == context_.slices.end() ? nullptr : &*found;
+    const auto found = std::ranges::lower_bound(context_.slices, block.member, {}, &PushSlice::member);
+    return found == context_.slices.end() || found->member != block.member ? nullptr : &*found;
   }
 
   // How many rows a slice that is read here brings.
@@ -82,6 +82,7 @@ class Reader {
 
   // Adds up what comes, and compares it with the order.
   Status find_slices() {
+    std::ranges::stable_sort(context_.slices, {}, &PushSlice::member);
     for (const Block& block : push_.blocks) {
       const PushSlice* const slice = slice_of(block);
       if (Status status = check_rows(block, slice); !status.ok()) return status;

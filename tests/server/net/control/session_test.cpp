@@ -40,7 +40,7 @@ TEST(Session, SaysWelcomeAndAnswersHello) {
   EXPECT_EQ(reply.type, FrameType::reply);
   EXPECT_EQ(reply.json["ranks"], 4);
   EXPECT_EQ(reply.json["version"], "test");
-  EXPECT_EQ(reply.json["limits"]["sessions"], 256);
+  EXPECT_EQ(reply.json["limits"]["sessions"], 1280);
   EXPECT_EQ(reply.json["session"], kAnna);
 }
 
@@ -489,7 +489,7 @@ TEST(Session, WhoSendsALargeRequestSlowlyHoldsUpOnlyLargerOnes) {
     }
   }
   Client other = service.client("other", kBert);
-  other.send_bytes(large_request(9, std::size_t{1} << 19U, false));
+  other.send_bytes(large_request(9, std::size_t{3} << 16U, false));
   EXPECT_EQ(other.receive_but_notices().json["scene"], "s");
 }
 

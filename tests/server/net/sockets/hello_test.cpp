@@ -169,10 +169,12 @@ TEST(Hello, SilenceKeepsNobodyOut) {
   ControlOptions options = TestService::defaults();
   options.hello_seconds = 600;  // far beyond this test: it must not be their deadline that frees the way
   options.sessions_max = 8;
+  options.waiting_max = 64;
   TestService service(options);
   DataOptions data;
   data.hello_seconds = 600;
   data.connections_max = 8;
+  data.waiting_max = 64;
   const Rank rank(data);
   const std::vector<std::function<Client()>> listeners{
       [&] { return Client::on_unix(service.path()); }, [&] { return Client::on_tcp(service.tcp()); },
