@@ -192,12 +192,8 @@ TEST_F(Blocks, AStepIsOrderedWhenEveryRankHasWhatEveryMemberBrings) {
       {{"member", 0}, {"n", 5}, {"path", "direct"}, {"dtype", "<f4"}, {"counts", {4, 0, 1}}, {"number", first}},
       {{"member", 1}, {"n", 5}, {"path", "direct"}, {"dtype", "<f8"}, {"counts", {0, 3, 2}}, {"number", second}}};
   EXPECT_EQ(order["blocks"], blocks);
-  for (const auto& [name, value] : std::map<std::string, Json>{{"n", 10},
-                                                               {"members", 2},
-                                                               {"ids", true},
-                                                               {"weights", false},
-                                                               {"step_seconds", 0.5},
-                                                               {"drifted", 4}})
+  for (const auto& [name, value] : std::map<std::string, Json>{
+           {"n", 10}, {"members", 2}, {"ids", true}, {"weights", false}, {"step_seconds", 0.5}, {"drifted", 4}})
     EXPECT_EQ(order[name], value) << name;
   EXPECT_TRUE(plane_.dropped.empty());
   // The answer is lost: the report is told again, and what comes to the ranks is dropped.
