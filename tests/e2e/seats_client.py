@@ -46,7 +46,7 @@ class Seats:
         counts = np.bincount(self.tree.assign(points[ids], ids), minlength=self.tree.parts)
         some = np.flatnonzero(counts)
         arrays, bulk = described({"part": some, "count": counts[some]}, {"part": "<i4", "count": "<u8"})
-        one.send({"command": "count", "scene": self.scene, "session": one.session, "step": number, **self.known,
+        one.send({"command": "count", "scene": self.scene, "step": number, **self.known,
                   "incarnation": self.incarnation, "n": len(ids), "id_sum": f"{mixed(ids):016x}", "arrays": arrays, **more},
                  bulk)
 
