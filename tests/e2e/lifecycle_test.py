@@ -89,7 +89,7 @@ class Lifecycle(unittest.TestCase):
             time.sleep(1)  # what the step left behind
             steps, before = 10000, wake_ups(others)
             for step in range(1, steps + 1):
-                client.send({"command": "count", "scene": "s", "session": client.session, "step": step, "arrays": arrays, **named},
+                client.send({"command": "count", "scene": "s", "step": step, "arrays": arrays, **named},
                             bulk)
                 self.assertEqual(client.answer()[0]["report"]["way"], "count")
             woken = {thread: times - before[thread] for thread, times in wake_ups(others).items()}
