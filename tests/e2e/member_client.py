@@ -42,7 +42,7 @@ class Member(PushClient):
         """In a scene of one part."""
         cuts = self.ask("cuts", scene=self.scene)[0]
         arrays, bulk = described({"part": [0][:len(ids)], "count": [len(ids)][:len(ids)]}, {"part": "<i4", "count": "<u8"})
-        self.send({"command": "count", "scene": self.scene, "session": self.session, "step": number, "n": len(ids),
+        self.send({"command": "count", "scene": self.scene, "step": number, "n": len(ids),
                    "incarnation": self.opened["incarnation"], "epoch": cuts["epoch"], "hash": cuts["hash"],
                    "id_sum": f"{int(mixed(ids).sum(dtype=np.uint64)):016x}", "arrays": arrays, **more}, bulk)
         self.begun = self.number

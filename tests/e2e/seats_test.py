@@ -122,7 +122,7 @@ class Solver:
         frames = {}
         for k in self.seats:
             rows = np.flatnonzero(self.part == k)
-            push = {"session": self.crowd.sessions[k], "step": step, "attempt": step}
+            push = {"step": step, "attempt": step}
             columns = dict(zip("xyz", self.x[rows].T)) | {"id": rows}
             frames[k] = (self.request("push.begin", **push, n=len(rows), ids=True, **more) +
                          (self.request("push.slice", columns, **push, count=len(rows)) if len(rows) else b""))
