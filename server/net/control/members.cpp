@@ -43,6 +43,12 @@ bool MemberPush::all_ready() {
   return ready == contributions.size();
 }
 
+bool MemberPush::awaits(const Connection* connection) const {
+  return std::any_of(contributions.begin(), contributions.end(), [connection](const auto& contribution) {
+    return contribution && contribution->connection.get() == connection && !contribution->ready();
+  });
+}
+
 MemberGroups::MemberGroups(Coordinator& coordinator) : coordinator_(coordinator) {}
 
 MemberGroups::Group* MemberGroups::find(const std::string& scene) {

@@ -59,6 +59,8 @@ struct MemberPush {
   bool ordered = false;
   bool over = false;  // every contribution is answered
 
+  // Whether this connection has begun a contribution that isn't complete, so that its slices must come next.
+  bool awaits(const Connection* connection) const;
   std::string progress() const;  // "2 of 4 members"
   bool all_ready();
 };

@@ -269,9 +269,11 @@ awaitable<void> Session::scene_change(Request& request) {
   const bool drops = request.command == "scene.drop" || wire::is_true(request.json, "replace");
   const bool waits = request.command != "scene.create" || drops;
   Status turn;
-  auto open = gate.push;
-  if (open && open->round) open = coordinator_->groups().contribution_of(*open->round, connection_.get());
-  if (open && open->connection == connection_ && !open->ready())
+  const auto own_is_open = [this, &gate] {
+    if (!gate.push) return false;
+    return gate.push->round ? gate.push->round->awaits(connection_.get()) : gate.push->connection == connection_;
+  };
+  if (own_is_open())
     turn = Status(Code::busy, fmt::format("this connection has a push open on scene '{}'", *scene), "finish it first");
   else
     turn = co_await wait_turn(request, *scene, [&gate, waits] { return !waits || !gate.push; });
@@ -404,22 +406,18 @@ awaitable<Status> Session::wait_turn(const Request& request, const std::string& 
   SceneGate& gate = coordinator_->gate(scene);
   if ((gate.queue.empty() && ready()) || overtake()) co_return Status();
   Place place(gate.queue, coordinator_->context());  // the gate isn't erased while this is in its queue
-  co_return co_await wait_until(
-      request, place, [&] { return (place.first() && ready()) || overtake(); },
-      [&gate] { return gate.push ? "a push of the scene to end" : "its turn at the scene"; });
-}
-
-awaitable<Status> Session::wait_until(const Request& request, Place& place, std::function<bool()> done,
-                                      std::function<std::string()> what) {
   TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
-  while (!done()) {
-    if (coordinator_->shutting_down()) co_return Status(Code::unavailable, "the service is shutting down");
-    if (now() >= request.end)
-      co_return Status(Code::deadline_exceeded,
-                       fmt::format("'{}' waited {} s for {}", request.command, request.deadline_seconds, what()));
-    co_await nap(place.timer(), request, notice_at, what());
+  Status status;
+  while (!(place.first() && ready()) && !overtake()) {
+    if (coordinator_->shutting_down())
+      status = Status(Code::unavailable, "the service is shutting down");
+    else if (now() >= request.end)
+      status = Status(Code::deadline_exceeded, fmt::format("'{}' waited {} s for its turn at scene '{}'",
+                                                           request.command, request.deadline_seconds, scene));
+    if (!status.ok()) break;
+    co_await nap(place.timer(), request, notice_at, gate.push ? "a push of the scene to end" : "its turn at the scene");
   }
-  co_return Status();
+  co_return status;
 }
 
 awaitable<void> Session::nap(Timer& timer, const Request& request, TimePoint& notice_at, std::string what) {

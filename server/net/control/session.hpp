@@ -143,9 +143,6 @@ class Session : public std::enable_shared_from_this<Session> {
   awaitable<Status> wait_turn(
       const Request& request, const std::string& scene, std::function<bool()> ready,
       std::function<bool()> overtake = [] { return false; });
-  // Waits in this place until `done`. what: for what, in words. Errors: as above.
-  awaitable<Status> wait_until(const Request& request, Place& place, std::function<bool()> done,
-                               std::function<std::string()> what);
   // Sleeps until the timer is cancelled, the request's deadline, or the next notice, which it then sends.
   awaitable<void> nap(Timer& timer, const Request& request, TimePoint& notice_at, std::string what);
 

@@ -17,10 +17,16 @@ awaitable<Status> Session::watch(const Request& request, const std::string& scen
                                  const std::string& what) {
   SceneGate& gate = coordinator_->gate(scene);
   Place place(gate.watching, coordinator_->context());
-  const Status status = co_await wait_until(
-      request, place, [this, done] { return done() || connection_->peer_is_lost(); }, [what] { return what; });
-  if (status.ok() && !done()) co_return Status(Code::aborted, "the client has gone");
-  co_return status;
+  TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
+  while (!done()) {
+    if (connection_->peer_is_lost()) co_return Status(Code::aborted, "the client has gone");
+    if (coordinator_->shutting_down()) co_return Status(Code::unavailable, "the service is shutting down");
+    if (now() >= request.end)
+      co_return Status(Code::deadline_exceeded,
+                       fmt::format("'{}' waited {} s for {}", request.command, request.deadline_seconds, what));
+    co_await nap(place.timer(), request, notice_at, what);
+  }
+  co_return Status();
 }
 
 awaitable<Status> Session::wait_settled(const Request& request, const std::string& scene) {

@@ -1,4 +1,4 @@
-// Session, part 2: pushes. push.begin is checked against the ledger, slices are read straight into their arrays, and
+// Session, part 2: pushes. push.begin is checked against the snapshot, slices are read straight into their arrays, and
 // the last one submits the order. Until then the scene is unchanged.
 #include <algorithm>
 #include <utility>

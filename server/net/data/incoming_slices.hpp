@@ -93,10 +93,10 @@ class IncomingSlices {
     std::map<std::string, std::vector<Buffer<std::byte>>> kept_;
   };
 
-  void forget(const Incoming& push);
-
   int rank_;
   Report report_;
+  void forget(const Incoming& push);
+
   std::map<std::uint64_t, std::shared_ptr<Incoming>> pushes_;  // by the push's number
   std::map<PushId, std::uint64_t> numbers_;                    // of these; of two with one id the latest's
   std::set<PushId> ended_;
