@@ -14,7 +14,7 @@ constexpr std::array<Fields, 1> kScene{"scene"};
 constexpr std::array<Fields, 12> kCreate{"scene",      "parts",           "dims",          "method",
                                          "tolerance",  "axis_hysteresis", "cut_tolerance", "policy",
                                          "part_sizes", "replace",         "positions"};
-constexpr std::array<Fields, 4> kOpen{"scene", "member", "members", "generation"};
+constexpr std::array<Fields, 4> kOpen{"scene", "seat", "seats", "generation"};
 constexpr std::array<Fields, 17> kPushBegin{
     "scene",  "step",    "attempt",  "n",       "path",         "dtype",      "weights", "ids",        "counts",
     "memory", "sockets", "inserted", "removed", "step_seconds", "cuts_known", "drifted", "incarnation"};

@@ -185,7 +185,7 @@ std::string verdict_text(const Ledger& ledger, const scene::CountVerdict& verdic
   return R"({"again":"cuts"})";
 }
 
-std::string repeated_to_member(const Ledger& ledger) {
+std::string repeated_to_seat(const Ledger& ledger) {
   return fmt::format(R"({{"repeated":true,"report":{}}})", ledger.last_report());
 }
 

@@ -15,8 +15,8 @@ Answer describe(const scene::Ledger& ledger, int ranks);
 // Answers error, counts, stats, history and the description. Errors: not_found (no positions yet), those of the
 // request.
 Answer answer_from(const scene::Ledger& ledger, const wire::Json& request, int ranks);
-// To a member of the last step that pushes or counts it again.
-std::string repeated_to_member(const scene::Ledger& ledger);
+// To a seat of the last step that pushes or counts it again.
+std::string repeated_to_seat(const scene::Ledger& ledger);
 // The report of a committed step, for whoever pushes or counts it again. number: in the history.
 Answer repeated(const scene::Ledger& ledger, std::uint64_t number);
 

@@ -18,7 +18,7 @@ struct SharedColumn {
 };
 
 struct Slice {
-  int member = 0;                        // of a parallel solver: the one that sent it
+  int seat = 0;                          // of a parallel solver: the one that sent it
   std::uint64_t count = 0;               // from shared memory: of the array "row", if there is one
   std::vector<wire::Array> arrays = {};  // x y z (w) (id)
   std::uint64_t first_row = 0;           // number of the first of these rows in the block

@@ -53,7 +53,7 @@ std::vector<api::Slice> staged_slices(net::DataPort& data, const wire::Json& req
       taken->first_row = slice.first_row;
       slice = std::move(*taken);
     }
-    slice.member = block.at("member").get<int>();
+    slice.seat = block.at("seat").get<int>();
     slices.push_back(std::move(slice));
   }
   return slices;

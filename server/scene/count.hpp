@@ -41,8 +41,8 @@ struct CountRecord {
   std::vector<std::uint64_t> counts;     // of these
   std::optional<WeightCount> weights;
   std::uint64_t bytes = 0;              // of its frame
-  std::vector<std::uint64_t> sessions;  // of all members together: the key of each one's
-  std::uint64_t strangers = 0;          // of all members together: rows outside the parts of their member
+  std::vector<std::uint64_t> sessions;  // of all seats together: the key of each one's
+  std::uint64_t strangers = 0;          // of all seats together: rows outside the parts of their seat
 
   bool flows() const { return inserted > 0 || removed > 0; }
 };

@@ -38,7 +38,7 @@ struct Stepped {
   StepReport report;
   Held held;
   std::string session;                   // that pushed
-  std::vector<std::uint64_t> sessions;   // if members pushed together: the key of each one's
+  std::vector<std::uint64_t> sessions;   // if seats pushed together: the key of each one's
   std::optional<double> step_seconds;    // as the push said
   std::optional<std::uint64_t> drifted;  // since the step before, as the push said
   bool wasted = false;                   // new cuts were searched, and not adopted

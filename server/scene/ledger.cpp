@@ -122,7 +122,7 @@ void Ledger::take(const Asked& asked) {
   asked_ = true;
 }
 
-void Ledger::remember(const StepReport& report, const std::string& session, std::vector<std::uint64_t> members) {
+void Ledger::remember(const StepReport& report, const std::string& session, std::vector<std::uint64_t> seats) {
   now_.step = report.step;
   recent_.push_back({report.step, session_key(session)});
   if (recent_.size() > kRememberedSteps) recent_.pop_front();
@@ -132,7 +132,7 @@ void Ledger::remember(const StepReport& report, const std::string& session, std:
   for (const std::string& name : report.skipped.names()) ++totals_.skipped[name];
   if (!std::exchange(asked_, false)) ++totals_.skipped["questions"];
   lasting_.last_session = recent_.back().session;
-  lasting_.last_members = std::move(members);
+  lasting_.last_seats = std::move(seats);
   lasting_.last_report = wire::dump_json(to_json(report));
   keep();
   history_->add(report, lasting_.last_report, journal_.get());
@@ -145,7 +145,7 @@ std::optional<std::uint64_t> Ledger::repeated(const std::string& session, std::i
 }
 
 bool Ledger::was_in_last(const std::string& session, std::int64_t step) const {
-  return step == now_.step && std::ranges::count(lasting_.last_members, session_key(session)) > 0;
+  return step == now_.step && std::ranges::count(lasting_.last_seats, session_key(session)) > 0;
 }
 
 Status Ledger::check_seat(const CountRecord& record) const {

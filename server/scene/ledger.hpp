@@ -50,7 +50,7 @@ struct Lasting {
   CostAccount costs;
   std::optional<double> error_when_not_adopted;  // error_before of the last wasted search
   std::uint64_t last_session = 0;                // key of the session that made the last step
-  std::vector<std::uint64_t> last_members;       // likewise, of each member
+  std::vector<std::uint64_t> last_seats;         // likewise, of each seat
   std::string last_report;                       // as JSON; empty: no step yet
 };
 
@@ -106,7 +106,7 @@ class Ledger {
   // The number, in the history, of a step that this session has committed; nothing if it has not.
   std::optional<std::uint64_t> repeated(const std::string& session, std::int64_t step) const;
 
-  // Whether the last step is this one, and this session was a member's in it.
+  // Whether the last step is this one, and this session had a seat in it.
   bool was_in_last(const std::string& session, std::int64_t step) const;
   const std::string& last_report() const { return lasting_.last_report; }
 
@@ -124,7 +124,7 @@ class Ledger {
   };
   Status check(const CountRecord& record) const;
   CountVerdict commit(const CountRecord& record, partition::LoadSummary loads, const Decision& decision);
-  void remember(const StepReport& report, const std::string& session, std::vector<std::uint64_t> members);
+  void remember(const StepReport& report, const std::string& session, std::vector<std::uint64_t> seats);
   // Puts cuts and state into the journal.
   void keep();
 

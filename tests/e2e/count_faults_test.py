@@ -2,7 +2,7 @@
 the scene is made anew while they are away. The others are told, and the step is made once."""
 import threading
 
-from member_client import Member
+from seat_client import Seat
 from protocol_client import Client, Refused
 from seats_client import Seats
 from support import *
@@ -23,8 +23,8 @@ class CountFaults(ServiceTest, Refusals):
     def back(self, seats, k):
         """Seat k, whose connection has ended."""
         last = seats.team[k]
-        seats.team[k] = Member(self.path, seats.scene, k, 2, session=last.session,
-                               generation=last.opened["membership"]["generation"] + 1)
+        seats.team[k] = Seat(self.path, seats.scene, k, 2, session=last.session,
+                               generation=last.opened["seat"]["generation"] + 1)
         seats.team[k].attempts = last.attempts
         return seats.team[k]
 
@@ -69,7 +69,7 @@ class CountFaults(ServiceTest, Refusals):
                     die(seats, step)()
                 code, message = refused.exception.args
                 self.assertIn(code, ("aborted", "deadline_exceeded"))  # as the end is noticed in the step, or before it
-                self.assertIn("member 1", message)
+                self.assertIn("seat 1", message)
                 self.back(seats, 1)
                 self.assertEqual(answered, [])
                 self.assertTrue(seats.send(step, HALVES, POINTS)["report"]["sent"])

@@ -71,14 +71,14 @@ class Counts(ServiceTest):
         self.assertEqual([report["way"] == "count" for report in reports],
                          [not report["sent"] for report in self.runs["when-needed"]["reports"]])
 
-    def test_members_count_together(self):
-        for members in (1, 3):
-            scene = f"of-{members}"
-            subprocess.run(["mpirun", "--allow-run-as-root", "--bind-to", "none", "--oversubscribe", "-n", str(members),
+    def test_holders_count_together(self):
+        for seats in (1, 3):
+            scene = f"of-{seats}"
+            subprocess.run(["mpirun", "--allow-run-as-root", "--bind-to", "none", "--oversubscribe", "-n", str(seats),
                             os.path.join(BIN, "slope_mpi"), "--points", "4000", "--steps", "30", "--parts", "6", "--tolerance",
-                            "0.05", "--positions", "when-needed" if members > 1 else "every-step", "--scene", scene,
+                            "0.05", "--positions", "when-needed" if seats > 1 else "every-step", "--scene", scene,
                             "--endpoint", self.service.endpoint], stdout=subprocess.DEVNULL, timeout=240, check=True)
-        one, three = (self.service.json("history", f"of-{members}") for members in (1, 3))
+        one, three = (self.service.json("history", f"of-{seats}") for seats in (1, 3))
         fields = [field for field in FIELDS if field != "drifted"]  # which several processes don't count
         self.assertEqual([[report[f] for f in fields] for report in three], [[report[f] for f in fields] for report in one])
         self.assertEqual([report["sent"] for report in three], [report["repartitioned"] for report in three])

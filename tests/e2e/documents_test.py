@@ -31,7 +31,7 @@ void advance(std::vector<double>& xyz) {
 }
 """
 
-# One member in a box that is periodic along its first axis.
+# One seat in a box that is periodic along its first axis.
 C_SOLVER = """
 int main() {
   void* handle = nullptr;
@@ -93,7 +93,7 @@ class Documents(ServiceTest):
     def test_the_wrapper_for_c(self):
         program = self.compile("c++", "#include <cmath>\n" + block("docs/coupling.md", "cpp", 1) + C_SOLVER)
         done = run(program=program, endpoint=self.service.endpoint, check=True)
-        # Eight places on a line. Both halves are this member's, so it needs only images: those within 1.5 of the line.
+        # Eight places on a line. Both halves are this seat's, so it needs only images: those within 1.5 of the line.
         self.assertEqual(done.stdout.splitlines(), ["0 3", "0: 1 0 0", "1: 1 0 0", "7: -1 0 0"])
 
     def test_the_readme_program(self):

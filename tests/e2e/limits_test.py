@@ -288,18 +288,18 @@ class Memory(unittest.TestCase):
                 costly.answer()
             self.assertEqual(refused.exception.args[0], "aborted")
 
-    def test_members_of_scenes_that_are_gone_are_forgotten(self):
+    def test_seats_of_scenes_that_are_gone_are_forgotten(self):
         with Service(1) as service, Client(service.endpoint, timeout=60) as client:
-            def members(first, last):
+            def seats(first, last):
                 for k in range(first, last):
                     client.ask("scene.create", scene=f"m{k}", parts=1)
-                    client.ask("scene.open", scene=f"m{k}", member=0, members=256)
+                    client.ask("scene.open", scene=f"m{k}", seat=0, seats=256)
                     client.ask("scene.drop", scene=f"m{k}")
                     client.ask("scene.close", scene=f"m{k}")
                 return memory_mib(rank_0(service))
 
-            before = members(0, 500)
-            self.assertLess(members(500, 3500) - before, 15)  # 18 KB each would be more than 50
+            before = seats(0, 500)
+            self.assertLess(seats(500, 3500) - before, 15)  # 18 KB each would be more than 50
 
 
 class LongCommands(unittest.TestCase):

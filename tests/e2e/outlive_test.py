@@ -2,7 +2,7 @@
 import glob
 
 import ranks
-from member_client import Member
+from seat_client import Seat
 from protocol_client import Client, Refused, arrays_of
 from push_client import WAYS, Block, PushClient
 from shared_memory_client import SharedClient
@@ -31,12 +31,12 @@ class Outlive(unittest.TestCase):
 
         wait_for(another)
 
-    def test_a_member_that_has_not_heard_of_a_step_gets_its_report_from_the_next_service(self):
+    def test_a_seat_that_has_not_heard_of_a_step_gets_its_report_from_the_next_service(self):
         points = np.random.default_rng(3).random((508, 3))
         held = np.split(np.random.default_rng(4).permutation(500), [200])
         with Client(self.path) as control:
             control.ask("scene.create", scene="s", parts=5)
-        team = [Member(self.path, "s", k, 2) for k in range(2)]
+        team = [Seat(self.path, "s", k, 2) for k in range(2)]
         for one, ids in zip(team, held):
             one.start(0, ids, points)
         for one in team:
@@ -47,11 +47,11 @@ class Outlive(unittest.TestCase):
         reports = [one.finish()[0]["report"] for one in team]
         for _ in range(2):  # the service may die again before all have asked
             self.kill_and_wait()
-        back = [Member(self.path, "s", k, 2, generation=2, session=team[k].session) for k in range(2)]
+        back = [Seat(self.path, "s", k, 2, generation=2, session=team[k].session) for k in range(2)]
         self.addCleanup(lambda: [one.close() for one in team + back])
         for one in back:
             self.assertEqual((one.opened["step"], one.opened["filled"]), (1, False))
-        # Member 0 has its answer and goes on; the other one asks for it before it does so.
+        # Seat 0 has its answer and goes on; the other one asks for it before it does so.
         back[0].start(2, now[0], points * [1, 1, 0.5])
         back[1].attempts = 3
         back[1].start(1, [], points)
@@ -81,7 +81,7 @@ class Outlive(unittest.TestCase):
         has = [list(map(int, ids)) for ids in parts]
         with Client(self.path) as control:
             control.ask("scene.create", scene="s", parts=1, positions="when-needed")
-        team = [Member(self.path, "s", k, 4) for k in range(4)]
+        team = [Seat(self.path, "s", k, 4) for k in range(4)]
         opened = list(team)
         self.addCleanup(lambda: [one.close() for one in opened])
 
@@ -124,7 +124,7 @@ class Outlive(unittest.TestCase):
         # A twin comes. The next block tells, and changes nothing.
         has[0].append(has[1][5])
         step("count", 2, inserted=(1, 0, 0, 0))
-        twins = "duplicate_id", (f"id {has[1][5]} is pushed by member 0 and by member 1",)
+        twins = "duplicate_id", (f"id {has[1][5]} is pushed by seat 0 and by seat 1",)
         step("push", 3, *twins)
         self.assertEqual(state(), [2, 602, 0])
         step("count", 3)
@@ -136,11 +136,11 @@ class Outlive(unittest.TestCase):
         has[2][0], has[3][0] = 604, has[1][5]
         step("count", 5, inserted=(0, 0, 1, 1), removed=(0, 0, 1, 1))
         self.kill_and_wait()
-        team[:] = [Member(self.path, "s", k, 4, generation=2, session=one.session) for k, one in enumerate(team)]
+        team[:] = [Seat(self.path, "s", k, 4, generation=2, session=one.session) for k, one in enumerate(team)]
         opened += team
         self.assertEqual(state(), [5, 602, None])
         self.assertIn("send", step("count", 6))
-        step("push", 6, twins[0], (f"id {has[1][5]} is pushed by member 1 and by member 3",))
+        step("push", 6, twins[0], (f"id {has[1][5]} is pushed by seat 1 and by seat 3",))
         has[3][0] = 605
         step("push", 6, inserted=(0, 0, 0, 1), removed=(0, 0, 0, 1))
         with Client(self.path) as control:
@@ -209,7 +209,7 @@ class Outlive(unittest.TestCase):
         self.check_parts_under(self.solver(os.path.join(BIN, "two_spheres"), "--steps", 2000, "--parts", 4, "--scene", "a",
                                            "--json"), "a", "two_spheres")
 
-    def test_parts_change_under_members(self):
+    def test_parts_change_under_seats(self):
         self.check_parts_under(self.solver(MPIRUN, 3, os.path.join(BIN, "slope_mpi"), "--points", 1000, "--steps", 2000,
                                            "--interval", 0.05, "--parts", 4, "--scene", "b", "--json", "--check"), "b",
                                "slope_mpi 0 of 3")
@@ -229,11 +229,11 @@ class Outlive(unittest.TestCase):
         self.assertEqual(self.service.json("history", "d"), json.loads(out)["reports"])
 
     def test_solvers_go_on_when_the_supervisor_is_killed_and_a_service_is_started_again(self):
-        for k, (members, command) in enumerate(((1, ["two_spheres", "--steps", 1500, "--parts", 7]),
+        for k, (seats, command) in enumerate(((1, ["two_spheres", "--steps", 1500, "--parts", 7]),
                                                 (4, ["slope_mpi", "--points", 1000, "--steps", 300, "--interval", 0.05]))):
             scene = f"k{k}"
             program = [os.path.join(BIN, command[0]), *command[1:], "--scene", scene, "--json", "--deadline", 120]
-            running = self.solver(*(program if members == 1 else [MPIRUN, members, *program]))
+            running = self.solver(*(program if seats == 1 else [MPIRUN, seats, *program]))
             try:
                 wait_for(lambda: self.step(scene) >= 2)
                 supervisor = ranks.supervisor(self.path)

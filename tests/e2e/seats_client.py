@@ -3,7 +3,7 @@ import contextlib
 
 import judge
 import numpy as np
-from member_client import Member
+from seat_client import Seat
 from protocol_client import Client, described
 
 FIELDS = ("step", "n", "parts", "error_before", "error", "imbalance", "repartitioned", "reason", "epoch", "moved", "axes_flipped")
@@ -28,7 +28,7 @@ class Seats:
         self.team = []
         for k in range(seats):
             with network(k):
-                self.team.append(Member(address, scene, k, seats, **options))
+                self.team.append(Seat(address, scene, k, seats, **options))
                 self.team[-1].link_ranks()
         self.incarnation = self.team[0].opened["incarnation"]
 

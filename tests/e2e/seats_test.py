@@ -113,7 +113,7 @@ class Solver:
         return protocol.frame(protocol.REQUEST, 2, {"command": command, "scene": self.scene, "arrays": arrays, **fields}, bulk)
 
     def open(self, seats):
-        opened = self.crowd.ask({k: self.request("scene.open", member=k, members=SEATS, generation=self.generation[k])
+        opened = self.crowd.ask({k: self.request("scene.open", seat=k, seats=SEATS, generation=self.generation[k])
                                  for k in seats})
         self.incarnation = opened[min(opened)][0]["incarnation"]
         return opened
@@ -163,10 +163,10 @@ class Seats(unittest.TestCase):
         control.ask("scene.create", scene="many", parts=SEATS, positions="when-needed")
         solver = Solver(crowd, "many")
         opened = solver.open(solver.seats)
-        self.assertEqual(opened[7][0]["membership"], {"member": 7, "members": SEATS, "generation": 1})
+        self.assertEqual(opened[7][0]["seat"], {"seat": 7, "seats": SEATS, "generation": 1})
         shown = control.ask("scene.show", scene="many")[0]
-        self.assertEqual(shown["members_count"], SEATS)
-        self.assertEqual(shown["members"], sorted(f"process {k}" for k in solver.seats)[:8])
+        self.assertEqual(shown["holders_count"], SEATS)
+        self.assertEqual(shown["seats"], sorted(f"process {k}" for k in solver.seats)[:8])
         self.assertIn("1016 more", service.failure("scene", "drop", "many")["message"])
 
         first = crowd.ask(solver.pushes(0, cuts_known={}))
@@ -188,10 +188,10 @@ class Seats(unittest.TestCase):
         crowd.lose(lost)
         for answer, _ in crowd.answers(others, protocol.FAILURE).values():
             self.assertEqual(answer["failure"]["code"], "aborted")
-            self.assertIn(f"member {lost} ('process {lost}'", answer["failure"]["message"])
+            self.assertIn(f"seat {lost} ('process {lost}'", answer["failure"]["message"])
         crowd.back(lost)
         solver.generation[lost] = 2
-        self.assertEqual(solver.open([lost])[lost][0]["membership"]["generation"], 2)
+        self.assertEqual(solver.open([lost])[lost][0]["seat"]["generation"], 2)
         self.assertEqual(self.same(crowd.ask(frames))["step"], 6)
 
         report = self.same(crowd.ask(solver.pushes(7)))

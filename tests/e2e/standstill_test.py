@@ -2,7 +2,7 @@
 import ctypes
 import threading
 
-from member_client import Member
+from seat_client import Seat
 from protocol_client import Client
 from support import *
 
@@ -49,7 +49,7 @@ class Standstill(unittest.TestCase):
             control, other = (Client(service.endpoint[5:], timeout=60) for _ in range(2))
             for scene in ("single", "team"):
                 control.ask("scene.create", scene=scene, parts=4)
-            team = [Member(service.endpoint[5:], "team", k, 2, timeout=60) for k in range(2)]
+            team = [Seat(service.endpoint[5:], "team", k, 2, timeout=60) for k in range(2)]
             points = np.random.default_rng(1).random((200, 3))
 
             def step(number):

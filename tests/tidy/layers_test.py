@@ -46,7 +46,6 @@ ARROWS = {
     "client/lib/connect": ["common/wire", "common/auth", "common/tls", "common/files"],
     "client/lib/session": ["client/lib", "client/lib/connect", "common/layout"],
     "client/lib/scene": ["client/lib/session"],
-    "client/lib/member": ["client/lib/scene"],
     "client/launch/job": ["client/lib", "client/lib/connect"],
     "client/launch": ["client/launch/job"],
     "client/cli/print": ["client/lib", "common/io"],

@@ -35,7 +35,7 @@ void print_scene(const Json& scene) {
                                                                   {"error", "error"},
                                                                   {"imbalance", "imbalance"},
                                                                   {"hash", "hash"},
-                                                                  {"members", "open by"}})
+                                                                  {"holders", "open by"}})
     if (scene.contains(field)) facts.add(title, text_of(scene, field));
   facts.print();
 }

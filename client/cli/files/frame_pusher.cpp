@@ -30,9 +30,9 @@ Status no_points(const std::string& file, const std::string& scene) {
 }
 
 Status check_not_held(const Json& shown, const std::string& scene, const std::string& hint) {
-  const auto holders = shown.at("members").get<std::vector<std::string>>();
+  const auto holders = shown.at("holders").get<std::vector<std::string>>();
   if (holders.empty()) return {};
-  const std::size_t more = shown.at("members_count").get<std::size_t>() - holders.size();
+  const std::size_t more = shown.at("holders_count").get<std::size_t>() - holders.size();
   return {Code::busy,
           fmt::format("scene '{}' is held open by {}{}", scene, fmt::join(holders, ", "),
                       more > 0 ? fmt::format(" and {} more", more) : ""),

@@ -138,7 +138,7 @@ Result<std::optional<Answer>> CountStep::ask(const CountCall& call, const Counte
   std::optional<int> scale;
   for (int tries = 0; tries < kTriesMax; ++tries) {
     const Status counted = count(*cuts.known, rows, call.last_step, scale);
-    if (!counted && !call.of_member) return counted;
+    if (!counted && !call.of_seat) return counted;
     wire::Json json{{"scene", call.scene},
                     {"step", call.step},
                     {"incarnation", call.incarnation},

@@ -39,7 +39,7 @@ struct CountCall {
   std::int64_t step = 0;
   std::optional<std::int64_t> last_step;
   const StepOptions& options;
-  bool of_member = false;  // then the others wait, and are told what is wrong with the rows
+  bool of_seat = false;  // then the others wait, and are told what is wrong with the rows
 };
 
 class CountStep {

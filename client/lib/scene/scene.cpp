@@ -118,8 +118,8 @@ Result<Scene::State::Description> Scene::State::read_description(const wire::Jso
   found.filled = !found.step || !fields.has("filled") || fields.flag("filled");
   found.when_needed = fields.text_or("positions", 16, "every-step") == "when-needed";
   found.incarnation = fields.text_or("incarnation", 16, "");
-  if (const auto membership = json.find("membership"); membership != json.end()) {
-    const auto generation = wire::integer_field(*membership, "generation", 1, kLarge);
+  if (const auto claim = json.find("seat"); claim != json.end()) {
+    const auto generation = wire::integer_field(*claim, "generation", 1, kLarge);
     fields.fail(generation.status());
     if (generation) found.generation = static_cast<std::uint64_t>(*generation);
   }
@@ -142,7 +142,7 @@ Status Scene::State::hold(const Retry& retry) {
   // The service may not have noticed yet that the previous connection was lost: a higher generation displaces it. Where
   // an answer was lost, the seat may have the generation that was asked for last.
   const std::uint64_t asked_before = seat_asked_;
-  if (seated()) request.update({{"member", seat_.seat}, {"members", seat_.seats}});
+  if (seated()) request.update({{"seat", seat_.seat}, {"seats", seat_.seats}});
   if (seated() && seat_generation_ > 0)
     request["generation"] = seat_asked_ = std::max(seat_generation_, seat_asked_) + 1;
   const auto json = described(session(), std::move(request), retry);

@@ -50,7 +50,7 @@ std::string json_document(const MpiOptions& options, int processes, const MpiRec
   for (const client::StepReport& report : record.reports) reports.push_back(json::parse(report.json));
   const json document{{"scene", options.scene},
                       {"solver", "slope_mpi"},
-                      {"members", processes},
+                      {"seats", processes},
                       {"points", options.slope.points},
                       {"steps", options.steps},
                       {"parts", options.parts},

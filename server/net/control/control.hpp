@@ -1,4 +1,4 @@
-// Room `control`: sessions, the order of commands, the queue at each scene, the members of a scene. All of it runs on
+// Room `control`: sessions, the order of commands, the queue at each scene, the seats of a scene. All of it runs on
 // rank 0's I/O thread.
 //
 // Control: rank 0's listening sockets and the sessions of the clients that connect to them.

@@ -286,7 +286,7 @@ void Coordinator::close_push(std::shared_ptr<OpenPush> push) {
 
 void Coordinator::abort(std::shared_ptr<OpenPush> push, const Status& why) {
   if (push->closed) return;
-  if (push->round) return groups_.abort(push->round, push->member < 0 ? nullptr : push.get(), why);
+  if (push->round) return groups_.abort(push->round, push->seat < 0 ? nullptr : push.get(), why);
   push->given_up = true;
   const PushId id = push->slices.terms().id;
   spdlog::info("push of step {} of scene '{}' by {} given up: {}", id.step, id.scene, push->client, why.message());

@@ -32,7 +32,7 @@
 
 #include "common/base/status.hpp"
 #include "server/net/control/control.hpp"
-#include "server/net/control/members.hpp"
+#include "server/net/control/seats.hpp"
 #include "server/net/push/data_plane.hpp"
 #include "server/net/push/engine.hpp"
 #include "server/net/push/push.hpp"
@@ -69,10 +69,10 @@ struct OpenPush {
   std::vector<std::uint64_t> arrived_bytes;  // by rank, as far as it has reported
   std::function<void()> on_complete;         // called when all ranks have their slices
   std::shared_ptr<void> held;                // memory of a large push.begin (Coordinator::hold_request)
-  // For a parallel solver only: the members' step. `member` says whose contribution this is; -1: this push stands for
+  // For a parallel solver only: the seats' step. `seat` says whose contribution this is; -1: this push stands for
   // the whole step in the scene's gate.
-  std::shared_ptr<MemberPush> round;
-  int member = -1;
+  std::shared_ptr<SeatPush> round;
+  int seat = -1;
 
   bool ready() const;  // everything has arrived
   std::uint64_t bytes_arrived() const;
@@ -119,7 +119,7 @@ struct OrderOptions {
   double received_seconds = 0;
   double deadline_seconds = 60;
   bool restores = false;                         // at the start, when nobody else orders: any number may be unfinished
-  std::vector<std::uint64_t> sessions;           // of a push by members: the key of each one's
+  std::vector<std::uint64_t> sessions;           // of a push by seats: the key of each one's
   std::string changes;                           // name of the scene that the order changes; empty: none
   std::uint64_t charged_bytes = 0;               // released when the order is answered
   std::shared_ptr<std::atomic<bool>> cancelled;  // set to end the order early; null: it can't be
@@ -194,11 +194,11 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   void charge(const std::shared_ptr<OpenPush>& push, std::uint64_t bytes);
   // Of a push that is given up.
   void give_back(OpenPush& push);
-  MemberGroups& groups() { return groups_; }
+  SeatGroups& groups() { return groups_; }
   // The open push or contribution with this id, if this connection opened it; else null.
   std::shared_ptr<OpenPush> find_push(const PushId& id, const Connection* connection);
   // Tells the ranks with rows of a push or contribution on the direct path to receive them. When all have theirs,
-  // on_complete() is called, or for a contribution MemberGroups::contribution_whole().
+  // on_complete() is called, or for a contribution SeatGroups::contribution_whole().
   void receive_directly(const std::shared_ptr<OpenPush>& push);
   void slice_reported(int rank, const SliceReport& report);
   // Tells the ranks to drop the slices of a push that will not be opened.
@@ -239,7 +239,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   void complete(Answer answer, const std::shared_ptr<OrderReservation>& unfinished,
                 const std::shared_ptr<Pending>& pending);
   void watch_arrival(const std::shared_ptr<OpenPush>& push);
-  // Aborts a push at its deadline; a contribution takes the whole step of the members with it.
+  // Aborts a push at its deadline; a contribution takes the whole step of the seats with it.
   void abort_at_deadline(const std::shared_ptr<OpenPush>& push, const Status& why);
   void say_goodbye();
 
@@ -258,7 +258,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   scene::Restored restored_;
   std::map<std::string, TimePoint> positions_wanted_;  // when a question last had a scene's positions sent
   std::set<Session*> sessions_;
-  MemberGroups groups_{*this};
+  SeatGroups groups_{*this};
   std::map<std::string, SceneGate> gates_;
   std::vector<std::string> endpoints_;
   std::vector<std::string> encryption_;  // of each endpoint

@@ -11,7 +11,7 @@ namespace {
 
 Json block_json(const OpenPush& push) {
   const PushTerms& terms = push.slices.terms();
-  Json block{{"member", std::max(push.member, 0)},
+  Json block{{"seat", std::max(push.seat, 0)},
              {"n", terms.n},
              {"path", terms.from_memory() ? "shared"
                       : terms.to_ranks()  ? "direct"
@@ -81,8 +81,7 @@ class Together {
 
 }  // namespace
 
-PushOrder order_of(std::span<const std::shared_ptr<OpenPush>> pushes, std::size_t members,
-                   const scene::Ledger& ledger) {
+PushOrder order_of(std::span<const std::shared_ptr<OpenPush>> pushes, std::size_t seats, const scene::Ledger& ledger) {
   PushOrder order;
   OrderOptions& options = order.options;
   Together all(ledger.now());
@@ -90,11 +89,11 @@ PushOrder order_of(std::span<const std::shared_ptr<OpenPush>> pushes, std::size_
   for (const auto& push : pushes) {
     const PushTerms& terms = push->slices.terms();
     all.add(terms);
-    if (members > 0) options.sessions.push_back(scene::session_key(terms.id.session));
+    if (seats > 0) options.sessions.push_back(scene::session_key(terms.id.session));
     options.charged_bytes += std::exchange(push->charged_bytes, 0);
     if (terms.n > 0) blocks.push_back(block_json(*push));
     if (auto slice = push->slices.take()) {
-      slice->member = std::max(push->member, 0);
+      slice->seat = std::max(push->seat, 0);
       options.slices.push_back(std::move(*slice));
     }
   }
@@ -103,9 +102,9 @@ PushOrder order_of(std::span<const std::shared_ptr<OpenPush>> pushes, std::size_
   order.request = all.json();
   order.request.update({{"command", "push"},
                         {"scene", id.scene},
-                        {"session", members > 0 ? kMembersSession : id.session},
+                        {"session", seats > 0 ? kSeatsSession : id.session},
                         {"step", id.step},
-                        {"members", members},
+                        {"seats", seats},
                         {"blocks", std::move(blocks)}});
   if (ledger.now().others) order.request["counted_ids"] = *ledger.now().id_sum;
   if (Json terms = to_json(ledger.terms(all.terms().step_seconds)); !terms.empty())

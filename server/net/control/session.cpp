@@ -314,18 +314,17 @@ awaitable<void> Session::open_scene(Request& request) {
     fail(request.number, scene.status());
     co_return;
   }
-  auto membership = read_membership(request.json);
-  if (membership.ok() && *membership && !coordinator_->scenes().contains(*scene))
-    membership = coordinator_->unknown_scene(*scene);
-  if (membership.ok() && *membership) {
-    auto joined = coordinator_->groups().join(*scene, **membership, connection_.get(), client_);
+  auto claim = read_claim(request.json);
+  if (claim.ok() && *claim && !coordinator_->scenes().contains(*scene)) claim = coordinator_->unknown_scene(*scene);
+  if (claim.ok() && *claim) {
+    auto joined = coordinator_->groups().join(*scene, **claim, connection_.get(), client_);
     if (joined.ok())
-      request.json["membership"] = membership_json(*joined);
+      request.json["seat"] = claim_json(*joined);
     else
-      membership = joined.status();
+      claim = joined.status();
   }
-  if (!membership.ok()) {
-    fail(request.number, membership.status());
+  if (!claim.ok()) {
+    fail(request.number, claim.status());
     co_return;
   }
   const bool fresh = open_.insert(*scene).second;
@@ -335,7 +334,7 @@ awaitable<void> Session::open_scene(Request& request) {
   if (ledger != nullptr) co_return reply(request, api::describe(*ledger, coordinator_->options().ranks));
   reply(request, api::failed(status));
   if (fresh) open_.erase(*scene);
-  if (*membership) coordinator_->groups().give_back_seat(*scene, connection_.get());
+  if (*claim) coordinator_->groups().give_back_seat(*scene, connection_.get());
 }
 
 awaitable<void> Session::order_and_reply(Request& request, OrderOptions order) {
@@ -384,10 +383,9 @@ void Session::reply(const Request& request, Answer answer) {
     answer = api::describe(*ledger, coordinator_->options().ranks);
   if (request.command == "scene.show" || request.command == "scene.open" || request.command == "scene.create") {
     const Holders holders = coordinator_->holders(request.json.value("scene", ""));
-    answer.json.update({{"members", holders.first}, {"members_count", holders.count}});
+    answer.json.update({{"holders", holders.first}, {"holders_count", holders.count}});
   }
-  if (request.command == "scene.open" && request.json.contains("membership"))
-    answer.json["membership"] = request.json["membership"];
+  if (request.command == "scene.open" && request.json.contains("seat")) answer.json["seat"] = request.json["seat"];
   std::shared_ptr<void> held;
   if (request.info->reads()) {  // the answer to a change is always sent, whatever its size
     std::uint64_t bytes = 0;

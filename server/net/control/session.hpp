@@ -105,8 +105,8 @@ class Session : public std::enable_shared_from_this<Session> {
   awaitable<Result<std::vector<wire::Array>>> read_count_arrays(const Frame& frame);
   awaitable<void> count(Request& request);
   Status count_alone(Request& request, const PushId& id);
-  // As one of the scene's members, who are answered together.
-  Status count_as_member(Request& request, const PushId& id);
+  // For one of the scene's seats, which are answered together.
+  Status count_by_seat(Request& request, const PushId& id);
   Result<scene::CountRecord> record_of(Request& request, const PushId& id);
   void answer_count(const Request& request, const scene::Ledger& ledger, scene::CountVerdict verdict);
   awaitable<void> answer_from_ledger(Request& request);
@@ -123,7 +123,7 @@ class Session : public std::enable_shared_from_this<Session> {
                           const std::string& what);
 
   awaitable<void> push_begin(Request& request);
-  // Handles the push.begin of a connection that has opened the scene as a member.
+  // Handles the push.begin of a connection that has taken a seat of the scene.
   awaitable<void> begin_contribution(Request& request, const PushId& id);
   // Opens the direct path of the push; it is ordered when the ranks have their rows.
   void begin_directly(const std::shared_ptr<OpenPush>& push);

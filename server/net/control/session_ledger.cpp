@@ -130,17 +130,17 @@ awaitable<void> Session::count(Request& request) {
     fail(request.number, id.status());
     co_return;
   }
-  MemberGroups& groups = coordinator_->groups();
-  const bool member = groups.knows(id->scene, connection_.get());
-  Status status = member ? Status() : groups.check_free(id->scene);
+  SeatGroups& groups = coordinator_->groups();
+  const bool seated = groups.knows(id->scene, connection_.get());
+  Status status = seated ? Status() : groups.check_free(id->scene);
   if (status.ok()) {
     SceneGate& gate = coordinator_->gate(id->scene);
     const auto ready = [&gate] { return gate.changes_unfinished == 0 && gate.push == nullptr; };
-    // A member keeps nobody waiting, so it need not queue; where others push the step it is told so.
-    const auto joins = [&gate, member, ready] { return member && (ready() || (gate.push && gate.push->round)); };
+    // A seat keeps nobody waiting, so it need not queue; where others push the step it is told so.
+    const auto joins = [&gate, seated, ready] { return seated && (ready() || (gate.push && gate.push->round)); };
     status = co_await wait_turn(request, id->scene, ready, joins);
   }
-  if (status.ok()) status = member ? count_as_member(request, *id) : count_alone(request, *id);
+  if (status.ok()) status = seated ? count_by_seat(request, *id) : count_alone(request, *id);
   if (!status.ok()) reply(request, api::failed(status));
   coordinator_->wake_queue(id->scene);
 }
@@ -160,7 +160,7 @@ Status Session::count_alone(Request& request, const PushId& id) {
   return record.status();
 }
 
-Status Session::count_as_member(Request& request, const PushId& id) {
+Status Session::count_by_seat(Request& request, const PushId& id) {
   CountBegin begin{id.scene, id.step, connection_, request.number, request.end, {}, {}};
   if (api::given(request.json, "fault")) {
     begin.fault = wire::status_from_failure({{"failure", request.json["fault"]}});

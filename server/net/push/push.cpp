@@ -44,10 +44,10 @@ bool by_held(const PushTerms& terms, const scene::SceneState& scene) {
 }
 
 // Checks which arrays come besides the positions.
-Status check_arrays(const PushTerms& terms, const scene::SceneState& scene, std::size_t members) {
+Status check_arrays(const PushTerms& terms, const scene::SceneState& scene, std::size_t seats) {
   const std::string with_ids = "say \"ids\" and send the array id";
   if (terms.n == 0) return {};
-  if (!terms.ids && members > 1) return wrong("the push of a member has no ids", with_ids);
+  if (!terms.ids && seats > 1) return wrong("the push of a seat has no ids", with_ids);
   if (!scene.step || scene.n == 0) return {};
   if (!terms.ids && (terms.inserted > 0 || terms.removed > 0))
     return wrong("particles come or go, and the push has no ids", with_ids);
@@ -67,8 +67,8 @@ Status check_arrays(const PushTerms& terms, const scene::SceneState& scene, std:
 }
 
 // Checks what a push from shared memory names.
-Status check_shared(const PushTerms& terms, const scene::SceneState& scene, std::size_t members) {
-  if (by_held(terms, scene) && (scene.ids || terms.ids || members > 1 || terms.inserted > 0 || terms.removed > 0))
+Status check_shared(const PushTerms& terms, const scene::SceneState& scene, std::size_t seats) {
+  if (by_held(terms, scene) && (scene.ids || terms.ids || seats > 1 || terms.inserted > 0 || terms.removed > 0))
     return {Code::unsupported,
             "without the array 'row' the row k of the memory is the particle k, of one client and without ids",
             "push with 'row' and 'counts', or by the path \"direct\" or \"gateway\""};
@@ -88,15 +88,15 @@ Status check_shared(const PushTerms& terms, const scene::SceneState& scene, std:
 }  // namespace
 
 Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const scene::SceneState& scene,
-                                  int ranks, std::uint64_t bytes_max, std::size_t members) {
+                                  int ranks, std::uint64_t bytes_max, std::size_t seats) {
   auto push = api::read_push(request, id, ranks);
   if (!push.ok()) return push.status();
   PushTerms terms{std::move(*push), ranks, scene.options.dims};
   if (Status step = check_step(terms, scene); !step.ok()) return step;
-  if (Status arrays = check_arrays(terms, scene, members); !arrays.ok()) return arrays;
+  if (Status arrays = check_arrays(terms, scene, seats); !arrays.ok()) return arrays;
   if (terms.from_memory() && terms.n > 0)
-    if (Status shared = check_shared(terms, scene, members); !shared.ok()) return shared;
-  if (members == 0 && scene.step)
+    if (Status shared = check_shared(terms, scene, seats); !shared.ok()) return shared;
+  if (seats == 0 && scene.step)
     if (Status all = scene::check_conserved(id.scene, scene.n, terms.n, terms.inserted, terms.removed); !all.ok())
       return all;
   if (terms.bytes() > bytes_max)

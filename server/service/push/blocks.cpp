@@ -16,13 +16,13 @@
 namespace rcb::service {
 namespace {
 
-// Which rows of a block each rank is dealt: evenly, to the ranks that own parts of the block's member.
+// Which rows of a block each rank is dealt: evenly, to the ranks that own parts of the block's seat.
 class Deal {
  public:
-  Deal(const Block& block, int members, int ranks) : n_(block.n) {
-    const int of = std::max(members, 1);
-    first_ = block.member * ranks / of;
-    last_ = std::max((block.member + 1) * ranks / of, first_ + 1);
+  Deal(const Block& block, int seats, int ranks) : n_(block.n) {
+    const int of = std::max(seats, 1);
+    first_ = block.seat * ranks / of;
+    last_ = std::max((block.seat + 1) * ranks / of, first_ + 1);
   }
   std::uint64_t begin(int rank) const {
     return layout::row_begin(std::clamp(rank, first_, last_) - first_, n_, last_ - first_);
@@ -53,7 +53,7 @@ class Reader {
         deal(block);
       else if (PushSlice* slice = slice_of(block))
         ready = take(*slice, std::move(ready));
-      if (at_ > begin) arrived_.runs.push_back({block.member, begin, at_ - begin});
+      if (at_ > begin) arrived_.runs.push_back({block.seat, begin, at_ - begin});
     }
     if (Status status = agree_status(comm_, ready); !status.ok()) return status;
     context_.slices.clear();
@@ -67,10 +67,10 @@ class Reader {
     return !slice.shared.empty() && slice.shared.back().where.name == "row";
   }
 
-  // What has come to this rank of a member's block; of one by the endpoint, to rank 0. Null: nothing.
+  // What has come to this rank of a seat's block; of one by the endpoint, to rank 0. Null: nothing.
   PushSlice* slice_of(const Block& block) {
-    const auto found = std::ranges::lower_bound(context_.slices, block.member, {}, &PushSlice::member);
-    return found == context_.slices.end() || found->member != block.member ? nullptr : &*found;
+    const auto found = std::ranges::lower_bound(context_.slices, block.seat, {}, &PushSlice::seat);
+    return found == context_.slices.end() || found->seat != block.seat ? nullptr : &*found;
   }
 
   // How many rows a slice that is read here brings.
@@ -82,12 +82,12 @@ class Reader {
 
   // Adds up what comes, and compares it with the order.
   Status find_slices() {
-    std::ranges::stable_sort(context_.slices, {}, &PushSlice::member);
+    std::ranges::stable_sort(context_.slices, {}, &PushSlice::seat);
     for (const Block& block : push_.blocks) {
       const PushSlice* const slice = slice_of(block);
       if (Status status = check_rows(block, slice); !status.ok()) return status;
       if (block.way == api::Way::endpoint)
-        count_ += Deal(block, push_.members, comm_.size()).count(comm_.rank());
+        count_ += Deal(block, push_.seats, comm_.size()).count(comm_.rank());
       else if (slice != nullptr)
         count_ += count_of(*slice);
     }
@@ -106,7 +106,7 @@ class Reader {
                       (slice->arrays.size() == arrays && std::ranges::all_of(slice->arrays, whole));
     if (come == wanted && fits) return {};
     return {Code::aborted,
-            fmt::format("{} rows of the block of member {} have come to rank {}, not {} whole ones", come, block.member,
+            fmt::format("{} rows of the block of seat {} have come to rank {}, not {} whole ones", come, block.seat,
                         comm_.rank(), wanted),
             "push the step again"};
   }
@@ -116,7 +116,7 @@ class Reader {
     if (context_.slices.size() != 1) return false;
     const PushSlice& only = context_.slices.front();
     const auto dealt = [&only](const Block& block) {
-      return block.member == only.member && block.way == api::Way::endpoint;
+      return block.seat == only.seat && block.way == api::Way::endpoint;
     };
     return only.shared.empty() && only.count == count_ && std::ranges::none_of(push_.blocks, dealt);
   }
@@ -157,7 +157,7 @@ class Reader {
 
   // Collective.
   void deal(const Block& block) {
-    const Deal deal(block, push_.members, comm_.size());
+    const Deal deal(block, push_.seats, comm_.size());
     const std::uint64_t mine = deal.count(comm_.rank());
     PushSlice* const whole = slice_of(block);
     for_each_array([&](std::size_t array, auto& to) {

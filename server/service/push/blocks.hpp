@@ -12,16 +12,16 @@
 
 namespace rcb::service {
 
-// Rows of one member that follow one another on this rank.
+// Rows of one seat that follow one another on this rank.
 struct Run {
-  int member = 0;
+  int seat = 0;
   std::uint64_t begin = 0;  // among this rank's rows
   std::uint64_t count = 0;
 };
 
 struct Arrived {
   particles::ParticleSet set;  // with ids
-  std::vector<Run> runs;       // by ascending member
+  std::vector<Run> runs;       // by ascending seat
   bool took_slice = false;     // its memory is that of a slice
 };
 

@@ -14,7 +14,7 @@ namespace {
 Result<Block> read_block(const wire::Json& json, int ranks) {
   wire::FieldReader fields(json);
   Block block;
-  block.member = static_cast<int>(fields.integer_or("member", 0, wire::kSeatsMax, 0));
+  block.seat = static_cast<int>(fields.integer_or("seat", 0, wire::kSeatsMax, 0));
   block.n = fields.particles("n");
   block.way = api::read_path(fields);
   block.is_float32 = fields.word("dtype", {"<f8", "<f4"}) == "<f4";
@@ -41,7 +41,7 @@ Result<PushRequest> read_order(const wire::Json& request, int ranks) {
   api::PushId id{.scene = fields.text("scene", 64), .session = fields.text("session", 64)};
   id.step = fields.integer("step", 0, wire::kStepMax);
   PushRequest order;
-  order.members = static_cast<int>(fields.integer_or("members", 0, wire::kSeatsMax, 0));
+  order.seats = static_cast<int>(fields.integer_or("seats", 0, wire::kSeatsMax, 0));
   if (!fields.ok()) return fields.status();
   auto push = api::read_push(request, std::move(id), ranks);
   if (!push.ok()) return push.status();

@@ -14,7 +14,7 @@ namespace rcb::service {
 
 // What all ranks know of a block of the step.
 struct Block {
-  int member = 0;
+  int seat = 0;
   std::uint64_t n = 0;
   api::Way way = api::Way::endpoint;
   bool is_float32 = false;
@@ -23,8 +23,8 @@ struct Block {
 
 struct PushRequest : api::Push {
   scene::DecisionTerms terms;  // of rank 0's ledger
-  int members = 0;             // of a parallel solver; 0: a single client pushes
-  std::vector<Block> blocks;   // those that have rows, by ascending member
+  int seats = 0;               // of a parallel solver; 0: a single client pushes
+  std::vector<Block> blocks;   // those that have rows, by ascending seat
   // Of mix64(id), of the last step, where counts have brought other particles than the ranks hold. Rank 0's ledger has
   // compared their number.
   std::optional<std::uint64_t> counted_ids;

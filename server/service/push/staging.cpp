@@ -64,15 +64,15 @@ bool sums_counts(const Scene& scene, bool weights) {
   return !weights && scene.epoch > 0 && scene.options.parts <= StepSums::kPartsMax;
 }
 
-int member_of(const std::vector<Run>& runs, std::size_t i) {
+int seat_of(const std::vector<Run>& runs, std::size_t i) {
   for (const Run& run : runs)
-    if (i >= run.begin && i < run.begin + run.count) return run.member;
+    if (i >= run.begin && i < run.begin + run.count) return run.seat;
   return 0;
 }
 
-// The smallest id that several rows have, on all ranks together: duplicate_id, naming the members that push it. Sets
+// The smallest id that several rows have, on all ranks together: duplicate_id, naming the seats that push it. Sets
 // `other` to whether ids aren't 0..n-1. Collective.
-Status check_distinct(comm::Comm& comm, int members, const std::vector<Run>& runs, std::span<const particles::Id> ids,
+Status check_distinct(comm::Comm& comm, int seats, const std::vector<Run>& runs, std::span<const particles::Id> ids,
                       std::uint64_t n, bool& other) {
   std::uint64_t greatest = 0;
   for (const particles::Id id : ids) greatest = std::max(greatest, static_cast<std::uint64_t>(id));
@@ -82,15 +82,15 @@ Status check_distinct(comm::Comm& comm, int members, const std::vector<Run>& run
   std::uint64_t least = kNone, most = 0;
   for (std::size_t i = 0; i < ids.size(); ++i) {
     if (ids[i] != *twin) continue;
-    least = std::min(least, static_cast<std::uint64_t>(member_of(runs, i)));
-    most = std::max(most, static_cast<std::uint64_t>(member_of(runs, i)));
+    least = std::min(least, static_cast<std::uint64_t>(seat_of(runs, i)));
+    most = std::max(most, static_cast<std::uint64_t>(seat_of(runs, i)));
   }
   comm.all_min({&least, 1});
   comm.all_max({&most, 1});
   return {Code::duplicate_id,
-          members == 0    ? fmt::format("id {} occurs more than once", *twin)
-          : least == most ? fmt::format("member {} pushes id {} twice", least, *twin)
-                          : fmt::format("id {} is pushed by member {} and by member {}", *twin, least, most),
+          seats == 0      ? fmt::format("id {} occurs more than once", *twin)
+          : least == most ? fmt::format("seat {} pushes id {} twice", least, *twin)
+                          : fmt::format("id {} is pushed by seat {} and by seat {}", *twin, least, most),
           "ids must be distinct"};
 }
 
@@ -122,7 +122,7 @@ Status check_identity(comm::Comm& comm, const Scene& scene, const PushRequest& p
             "push each particle once, by its id; say how many come ('inserted') and go ('removed')"};
   staged.ids = stays_same(scene, push) && scene.ids;
   if (staged.same || !names_rows(push)) return {};
-  return check_distinct(comm, push.members, runs, staged.arrays.id.span(), push.n, staged.ids);
+  return check_distinct(comm, push.seats, runs, staged.arrays.id.span(), push.n, staged.ids);
 }
 
 // What is wrong with values of which a pass has found that some are. Collective.
@@ -158,9 +158,9 @@ Status find_parts(const comm::Comm& comm, Scene& scene, const PushRequest& push,
     for (std::size_t i = 0; i < view.count; ++i)
       if (!own.has(staged.part[i])) staged.exports.push_back(i);
   if (!staged.sums.counts.empty()) staged.sums.counts = std::move(counted->counts);
-  if (push.members > 1)
+  if (push.seats > 1)
     for (const Run& run : runs) {
-      const layout::PartRange parts = layout::parts_of_rank(run.member, scene.options.parts, push.members);
+      const layout::PartRange parts = layout::parts_of_rank(run.seat, scene.options.parts, push.seats);
       for (std::size_t i = run.begin; i < run.begin + run.count; ++i)
         staged.sums.strangers += parts.has(staged.part[i]) ? 0U : 1U;
     }

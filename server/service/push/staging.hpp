@@ -22,7 +22,7 @@ struct StepSums {
   std::uint64_t faults = 0;            // ranks with a fault
   std::uint64_t rows = 0;              // read
   std::uint64_t drifted = 0;           // particles that left the part in which the ranks held them
-  std::uint64_t strangers = 0;         // rows outside their member's parts
+  std::uint64_t strangers = 0;         // rows outside their seat's parts
   std::uint64_t id_sum = 0;            // of a new set: of mix64(id), or mix64(id + key) where that is compared
   std::uint64_t exported = 0;          // particles whose part another rank owns
   std::vector<std::uint64_t> from_to;  // [from][to]: of these; empty above kRanksMax

@@ -48,10 +48,10 @@ class Floors {
  public:
   // By the names of `ratio`. ranks: of the service.
   static std::vector<std::pair<const char*, FloorKey>> of(const std::string& variant, const MovingPoints& motion,
-                                                          int ranks, int members) {
+                                                          int ranks, int seats) {
     std::vector<std::pair<const char*, FloorKey>> keys;
     if (const std::size_t read = motion.bytes_read(variant); read > 0)
-      keys.push_back({"read", {Floor::Kind::read, read, by_members(variant) ? members : 1}});
+      keys.push_back({"read", {Floor::Kind::read, read, by_seats(variant) ? seats : 1}});
     if (is_count(variant)) return keys;
     const std::size_t sent = motion.bytes_sent(variant);
     for (const auto& [name, kind] : {std::pair{"floor", Floor::Kind::sockets}, {"memory", Floor::Kind::memory}})
@@ -174,7 +174,7 @@ Status run_cell(const StepCell& cell, const StepBenchOptions& options, Json& row
   }
   const auto explained = [&own](const Status& status) { return own ? own->explain(status) : status; };
   const auto floors_of = [&](const std::string& variant) {
-    return Floors::of(variant, cell.motion, cell.ranks, options.members);
+    return Floors::of(variant, cell.motion, cell.ranks, options.seats);
   };
   RoundTrip round_trip;
   Floors floors;
@@ -185,7 +185,7 @@ Status run_cell(const StepCell& cell, const StepBenchOptions& options, Json& row
   std::vector<Timed> contenders;
   for (const std::string& variant : options.variants)
     for (const std::string& endpoint : endpoints) {
-      contenders.push_back({variant, own ? "" : endpoint, Pusher(variant, cell.motion, options.members)});
+      contenders.push_back({variant, own ? "" : endpoint, Pusher(variant, cell.motion, options.seats)});
       Status status = contenders.back().pusher.open(endpoint, cell.parts);
       if (!status.ok()) return explained(status);
     }
@@ -219,7 +219,7 @@ Status check(const StepBenchOptions& options) {
   });
   check.between("--parts", options.parts, 1, kPartsMax);
   check.between("--ranks", options.ranks, 1, kRanksMax);
-  check.between("--members", std::vector{options.members}, 1, 256);
+  check.between("--members", std::vector{options.seats}, 1, 256);
   check.between("--repeats", std::vector{options.repeats}, 1, kRepeatsMax);
   check.whole("--points", {options.points}, 0, 1e9);
   return check.status();
@@ -240,7 +240,7 @@ CLI::App* add_step(CLI::App& app, StepBenchOptions& options) {
                    "endpoints of running services that take turns, instead of one that is started; --ranks then only "
                    "tells the floors' processes")
       ->delimiter(',');
-  command->add_option("--members", options.members, "of the parallel solver")->capture_default_str();
+  command->add_option("--members", options.seats, "of the parallel solver")->capture_default_str();
   command->add_option("--repeats", options.repeats, "timed steps of each variant")->capture_default_str();
   command->add_option("--points", options.points, "particles of every scene, instead of its own number");
   command->add_option("--json", options.json, "write the result to this file");

@@ -27,7 +27,7 @@ struct StepBenchOptions {
   std::vector<int> ranks{2, 8};
   // Endpoints of running services, which then take turns in the place of one that is started for each of `ranks`.
   std::vector<std::string> services = {};
-  int members = 4;
+  int seats = 4;
   int repeats = 15;
   double points = 0;  // of every scene; 0: its own number
   std::string json;

@@ -19,11 +19,11 @@ void shuffle(Random& random, std::size_t count, const auto& exchange) {
 }  // namespace
 
 bool is_count(const std::string& variant) { return variant.starts_with("count"); }
-bool by_members(const std::string& variant) { return variant.find("members") != std::string::npos; }
+bool by_seats(const std::string& variant) { return variant.find("members") != std::string::npos; }
 std::vector<std::string> usual_variants() {
   std::vector<std::string> usual;
   for (const std::string variant : kStepVariants)
-    if (!by_members(variant) && variant != "connect") usual.push_back(variant);
+    if (!by_seats(variant) && variant != "connect") usual.push_back(variant);
   return usual;
 }
 
@@ -49,8 +49,8 @@ MovingPoints::MovingPoints(const SceneKind& kind, std::size_t count, bool shuffl
 }
 
 std::size_t MovingPoints::bytes_sent(const std::string& variant) const {
-  // What goes to the ranks by parts, or from several members, says whose positions it brings.
-  const bool ids = by_members(variant) || variant == "sockets" || variant == "float32";
+  // What goes to the ranks by parts, or from several seats, says whose positions it brings.
+  const bool ids = by_seats(variant) || variant == "sockets" || variant == "float32";
   return bytes_read(variant) + (ids ? n * sizeof(std::int64_t) : 0);
 }
 
@@ -59,9 +59,9 @@ std::size_t MovingPoints::bytes_read(const std::string& variant) const {
   return n * static_cast<std::size_t>(dims) * (variant == "float32" ? sizeof(float) : sizeof(double));
 }
 
-Pusher::Pusher(std::string variant, const MovingPoints& motion, int members)
+Pusher::Pusher(std::string variant, const MovingPoints& motion, int seats)
     : variant_(std::move(variant)), motion_(motion) {
-  if (by_members(variant_)) team_.emplace(motion.axes, motion.dims, members);
+  if (by_seats(variant_)) team_.emplace(motion.axes, motion.dims, seats);
   if (is_count(variant_) && !team_) rows_.resize(motion.rows[0].size());
   if (variant_ == "count-permuted") {
     ids_.resize(motion.n);

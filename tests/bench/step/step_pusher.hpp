@@ -10,7 +10,7 @@
 #include "client/lib/client.hpp"
 #include "common/base/random.hpp"
 #include "tests/bench/scenes.hpp"
-#include "tests/bench/step/step_members.hpp"
+#include "tests/bench/step/step_seats.hpp"
 
 namespace rcb::bench {
 
@@ -19,7 +19,7 @@ namespace rcb::bench {
 // through rank 0. connect: no step, but the time until a new client has been let in. every-step-members: a parallel
 // solver's, with the particles of their parts, from shared memory; members-sockets and members-endpoint: the same by
 // these ways. count: own rows of a scene whose positions travel when needed, so that none do; count-permuted: in a new
-// order each step; count-weighted: with a weight for each particle; count-members: by members. send: as every-step, of
+// order each step; count-weighted: with a weight for each particle; count-members: by seats. send: as every-step, of
 // such a scene at the tolerance 0, so that each step is counted, then sends, and new cuts are found.
 inline constexpr std::array kStepVariants{
     "count",           "count-permuted",   "count-weighted", "send",    "every-step",
@@ -28,7 +28,7 @@ inline constexpr std::array kStepVariants{
 
 bool is_count(const std::string& variant);
 // The processes of a solver step together.
-bool by_members(const std::string& variant);
+bool by_seats(const std::string& variant);
 // Those of a single client's steps.
 std::vector<std::string> usual_variants();
 
@@ -52,7 +52,7 @@ struct MovingPoints {
 // One variant's scene, and its positions the way the variant has them.
 class Pusher {
  public:
-  Pusher(std::string variant, const MovingPoints& motion, int members);
+  Pusher(std::string variant, const MovingPoints& motion, int seats);
 
   Status open(const std::string& endpoint, int parts);
   int ranks() const { return client_->ranks(); }
@@ -75,7 +75,7 @@ class Pusher {
   std::vector<double> weights_;
   std::optional<client::Client> client_;
   std::optional<client::Scene> scene_;
-  std::optional<MemberTeam> team_;  // instead
+  std::optional<SeatTeam> team_;  // instead
   bool first_ = true;
 };
 

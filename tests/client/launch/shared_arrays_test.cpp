@@ -229,26 +229,26 @@ TEST_F(SharedArraysTest, AClosedSceneSharesNoMore) {
   }
 }
 
-TEST_F(SharedArraysTest, MembersShareTheirsWithTheRanks) {
-  constexpr int kMembers = 2;
+TEST_F(SharedArraysTest, SeatsShareTheirsWithTheRanks) {
+  constexpr int kSeats = 2;
   Client maker = connect();
   ASSERT_TRUE(maker.create_scene("team", {.parts = 6, .tolerance = 0.3, .replace = true}).ok());
   const auto begin = random_rows(kCount, 5);
-  std::vector<std::vector<std::string>> ways(kMembers);
-  std::barrier handed_over(kMembers);
-  std::vector<std::int64_t> to_other[kMembers];  // by whom
-  struct Leaver {                                // one that fails keeps nobody waiting
+  std::vector<std::vector<std::string>> ways(kSeats);
+  std::barrier handed_over(kSeats);
+  std::vector<std::int64_t> to_other[kSeats];  // by whom
+  struct Leaver {                              // one that fails keeps nobody waiting
     std::barrier<>& barrier;
     ~Leaver() { barrier.arrive_and_drop(); }
   };
-  const auto solve = [&](int member) {
+  const auto solve = [&](int seat) {
     const Leaver leaver{handed_over};
     Client client = connect(Path::shared);
-    auto of = client.open_scene("team", {.seat = member, .seats = kMembers});
+    auto of = client.open_scene("team", {.seat = seat, .seats = kSeats});
     ASSERT_TRUE(of.ok()) << of.status().message();
     std::vector<std::int64_t> ids;
     for (std::size_t i = 0; i < kCount; ++i)
-      if (static_cast<int>(i % kMembers) == member) ids.push_back(static_cast<std::int64_t>(i));
+      if (static_cast<int>(i % kSeats) == seat) ids.push_back(static_cast<std::int64_t>(i));
     for (int step = 0; step < 12; ++step) {
       // Given arrays in every other step; else its own.
       std::vector<double> own(3 * ids.size());
@@ -260,13 +260,13 @@ TEST_F(SharedArraysTest, MembersShareTheirsWithTheRanks) {
           to[3 * k + a] = begin[3 * static_cast<std::size_t>(ids[k]) + a] + 0.01 * step * static_cast<double>(a + 1);
       const auto done = of->step(Positions::rows(to, ids.size(), 3), {.ids = ids});
       ASSERT_TRUE(done.ok()) << done.status().message();
-      ways[static_cast<std::size_t>(member)].push_back(done->report.way);
-      auto& going = to_other[member];
+      ways[static_cast<std::size_t>(seat)].push_back(done->report.way);
+      auto& going = to_other[seat];
       going.clear();
       for (const LeavingRow& one : done->leaving) going.push_back(std::exchange(ids[one.row], -1));
       std::erase(ids, -1);
       handed_over.arrive_and_wait();
-      ids.insert(ids.end(), to_other[1 - member].begin(), to_other[1 - member].end());
+      ids.insert(ids.end(), to_other[1 - seat].begin(), to_other[1 - seat].end());
     }
   };
   std::thread other(solve, 1);
@@ -276,8 +276,8 @@ TEST_F(SharedArraysTest, MembersShareTheirsWithTheRanks) {
   for (std::size_t i = 0; i < kCount; ++i)
     for (std::size_t a = 0; a < 3; ++a) end.push_back(begin[3 * i + a] + 0.01 * 11 * static_cast<double>(a + 1));
   expect_positions(maker, "team", end);
-  for (const auto& of_member : ways) {
-    EXPECT_EQ(std::count(of_member.begin(), of_member.end(), "shared-memory"), 12);
+  for (const auto& of_seat : ways) {
+    EXPECT_EQ(std::count(of_seat.begin(), of_seat.end(), "shared-memory"), 12);
   }
 }
 

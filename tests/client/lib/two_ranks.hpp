@@ -80,7 +80,7 @@ class TwoRanks {
       }
       protocol::Json json{{"scene", "s"}, {"dims", 2}, {"parts", 4}, {"n", 0}, {"step", nullptr}};
       json.update(scene);
-      if (frame->json.contains("member")) json["membership"] = {{"generation", 1}};
+      if (frame->json.contains("seat")) json["seat"] = {{"generation", 1}};
       peer.reply(*frame, json);
     }
   }

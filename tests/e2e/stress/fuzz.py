@@ -8,15 +8,15 @@ from actor import LOST, Actor
 from protocol_client import GOODBYE, HELLO, NOTICE, REPLY, REQUEST, Client, Refused, connected, frame, xxh3
 
 # Names that the service uses on its inside, and fields of requests: nobody may believe them from outside.
-INTERNAL = ("staged", "membership", "session", "blocks", "together", "members", "number", "rank", "direct", "loan",
+INTERNAL = ("staged", "seat", "session", "blocks", "together", "seats", "number", "rank", "direct", "loan",
             "snapshot", "terms", "internal", "push", "secret", "way", "generation")
 COMMANDS = ("status", "scene.list", "scene.show", "scene.open", "scene.close", "scene.create", "error", "counts", "cuts",
             "history", "stats", "owner", "box", "assign", "fetch", "quality", "compare", "count", "rebalance", "push.begin",
             "push.slice", "push", "push.staged", "hello", "")
 FIELDS = ("step", "attempt", "n", "dtype", "weights", "ids", "drifted", "cuts_known", "incarnation", "hash", "id_sum",
           "path", "rank", "count", "first", "counts", "inserted", "removed", "memory", "sockets", "arrays", "parts",
-          "dims", "method", "tolerance", "part_sizes", "replace", "position", "id", "lo", "hi", "last", "member",
-          "members", "epoch", "methods", "ghost_width", "dry_run", "policy", "step_seconds", "client",
+          "dims", "method", "tolerance", "part_sizes", "replace", "position", "id", "lo", "hi", "last", "seat",
+          "seats", "epoch", "methods", "ghost_width", "dry_run", "policy", "step_seconds", "client",
           "protocol", "token", "version", "deadline_seconds")
 
 

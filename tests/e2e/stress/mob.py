@@ -89,7 +89,7 @@ class Mob(Actor):
         more = {}
         if self.team and self.random.random() < 0.9:
             seat = self.random.randrange(self.team)
-            more = {"member": seat, "members": self.team, "generation": self.random.choice([None, None, 1, 2, 2**40])}
+            more = {"seat": seat, "seats": self.team, "generation": self.random.choice([None, None, 1, 2, 2**40])}
             guest.seat = seat
         guest.request({"command": "scene.open", "scene": self.scene, **more})
 

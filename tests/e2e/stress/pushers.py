@@ -100,7 +100,7 @@ class Quitters(Actor):
         for _ in range(5):
             self.quit()
         after = self.ask(self.control, "scene.show", scene=self.scene)[0]
-        before.pop("members"), after.pop("members")
+        before.pop("holders"), after.pop("holders")
         self.expect(before == after, "a push that was cut changed the scene", before, after)
         self.number += 1
         self.push(self.model.move_on(self.rng))
@@ -147,7 +147,7 @@ class Liars(Actor):
         self.count({True: "believed", False: "refused", None: "given up"}[answered])
         if answered is not False:
             return self.push_first()
-        before.pop("members"), after.pop("members")
+        before.pop("holders"), after.pop("holders")
         self.expect(before == after, "a push that was refused changed the scene", before, after)
 
     def lie(self):

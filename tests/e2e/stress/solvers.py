@@ -72,8 +72,8 @@ class TwoSpheres(Solver):
                 str((8, 3, 13)[choice]), "--tolerance", ("0.1", "0.02", "inf")[choice]]
 
 
-class SlopeMembers(Solver):
-    expects = "slope_mpi, members of one scene, runs to its end, and reports the same every time"
+class SlopeSeats(Solver):
+    expects = "slope_mpi, seats of one scene, runs to its end, and reports the same every time"
     steps = 20
 
     def command(self, choice):

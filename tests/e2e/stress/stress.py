@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Everything at once: pushes by every way, members that die, questions, bytes that no client sends, stopped processes,
+"""Everything at once: pushes by every way, seats that die, questions, bytes that no client sends, stopped processes,
 a full disk, on one service, for seconds (as a test of the suite) or an hour (as a command, on a build with sanitizers).
 
     tests/e2e/stress/stress.py --seconds 3600 --build build/asan --seed 7
@@ -20,7 +20,7 @@ INSIDE = "RCB_STRESS_INSIDE"  # set in the mount namespace that this program mak
 DISK_BYTES, DISK_FILES = 24 << 20, 500
 ONLY_LONG_SECONDS = 300
 sys.path.append(os.path.dirname(HERE))
-TWICE = ("ways", "members", "readers", "fuzz")  # in the long form
+TWICE = ("ways", "seats", "readers", "fuzz")  # in the long form
 
 
 def parse():
@@ -43,15 +43,15 @@ def actor_classes():
     import commands
     import faults
     import fuzz
-    import members
+    import seats
     import mob
     import pushers
     import queries
     import scenes
     import solvers
     return {
-        "ways": pushers.Ways, "quitters": pushers.Quitters, "liars": pushers.Liars, "members": members.Members, "mob": mob.Mob,
-        "spheres": solvers.TwoSpheres, "slope": solvers.SlopeMembers,
+        "ways": pushers.Ways, "quitters": pushers.Quitters, "liars": pushers.Liars, "seats": seats.Seats, "mob": mob.Mob,
+        "spheres": solvers.TwoSpheres, "slope": solvers.SlopeSeats,
         "readers": queries.Readers, "pipelined": queries.Pipelined, "flood": queries.Flood, "rude": queries.Rude,
         "costly": queries.Costly, "crowd": queries.Crowd, "commands": commands.Commands, "fuzz": fuzz.Fuzz,
         "scenes": scenes.Scenes, "files": scenes.Files,

@@ -22,8 +22,8 @@ TEST(Commands, HaveOneEntryEach) {
 
 TEST(Commands, NoFieldOfTheInsideIsKept) {
   for (const CommandInfo& command : commands()) {
-    Json request{{"command", command.name}, {"deadline_seconds", 1}, {"blocks", 1},
-                 {"unmoved", {1}},          {"membership", {}},      {"unknown", Json::object()}};
+    Json request{{"command", command.name},  {"deadline_seconds", 1}, {"blocks", 1}, {"unmoved", {1}}, {"seat", {}},
+                 {"unknown", Json::object()}};
     for (const std::string_view field : command.fields) request[std::string(field)] = 1;
     keep_known_fields(request, command);
     EXPECT_EQ(request.size(), command.fields.size() + 2) << request;

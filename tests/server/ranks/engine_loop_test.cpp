@@ -84,7 +84,7 @@ class Queue {
          {"step", step},
          {"attempt", 0},
          {"n", kCount},
-         {"blocks", Json::array({{{"member", 0}, {"n", kCount}, {"path", "gateway"}, {"dtype", "<f8"}}})}},
+         {"blocks", Json::array({{{"seat", 0}, {"n", kCount}, {"path", "gateway"}, {"dtype", "<f8"}}})}},
         std::move(slices));
   }
 

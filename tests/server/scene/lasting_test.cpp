@@ -54,8 +54,8 @@ Json picture_of(const Ledger& ledger) {
             {"terms", {to_json(ledger.terms({})), to_json(ledger.terms(0.01)), to_json(ledger.terms(5.0))}},
             {"counts", to_json(static_cast<const scene::StepCounts&>(totals))},
             {"totals", {totals.steps, totals.repartitions, totals.skipped, totals.asked}}};
-  for (int member = 0; member < 3 && now.step; ++member)
-    json["members"].push_back(ledger.was_in_last(fmt::format("member {}", member), *now.step));
+  for (int seat = 0; seat < 3 && now.step; ++seat)
+    json["seats"].push_back(ledger.was_in_last(fmt::format("seat {}", seat), *now.step));
   if (!now.loads) return json;
   json["loads"] = {now.loads->counts, now.loads->load_values, now.loads->part_errors, now.loads->targets};
   json["balance"] = {now.loads->error, now.loads->imbalance, now.loads->weighted, now.loads->scale_exponent,
@@ -120,8 +120,8 @@ class Life {
   }
   const std::vector<Json>& reports() const { return reports_; }
   const std::string& session() const { return session_; }
-  std::size_t members() const { return members_; }  // of the last step
-  bool replaced() const { return replaced_; }       // by what happened last
+  std::size_t seats() const { return seats_; }  // of the last step
+  bool replaced() const { return replaced_; }   // by what happened last
 
  private:
   void create(Ledgers& ledgers) {
@@ -147,7 +147,7 @@ class Life {
     stepped.session = session_;
     stepped.step_seconds = seconds_;
     stepped.sessions = sessions();
-    members_ = stepped.sessions.size();
+    seats_ = stepped.sessions.size();
     reports_.push_back(to_json(*ledgers.take({"jet", std::move(stepped)}, 0)));
   }
 
@@ -177,23 +177,23 @@ class Life {
     const auto verdict = ledger.count(*record);
     const auto* done = std::get_if<scene::CountVerdict::Committed>(&verdict.is);
     EXPECT_TRUE(done != nullptr || std::holds_alternative<scene::CountVerdict::Send>(verdict.is));
-    if (done != nullptr) members_ = record->sessions.size();
+    if (done != nullptr) seats_ = record->sessions.size();
     if (done != nullptr) reports_.push_back(to_json(done->report));
     return done != nullptr;
   }
 
-  // Of no members, or of up to three.
+  // Of no seats, or of up to three.
   std::vector<std::uint64_t> sessions() {
     std::vector<std::uint64_t> sessions;
     for (std::uint64_t k = random_.below(4); k > 0; --k)
-      sessions.push_back(scene::session_key(fmt::format("member {}", k - 1)));
+      sessions.push_back(scene::session_key(fmt::format("seat {}", k - 1)));
     return sessions;
   }
 
   Random random_;
   std::optional<World> world_;
   Ranks ranks_{scene::SceneOptions()};
-  std::size_t members_ = 0;
+  std::size_t seats_ = 0;
   std::uint64_t incarnation_ = 0x1000;
   std::int64_t step_ = -1;
   std::string session_ = "run";
@@ -232,7 +232,7 @@ void check_restored(const Ledger& ledger, const Life& life, std::uint64_t lost =
   EXPECT_EQ(ledger.repeated(life.session(), *now.step), ledger.totals().steps - 1);
   EXPECT_EQ(ledger.repeated(life.session() + "'", *now.step), std::nullopt);
   for (std::size_t k = 0; k < 4; ++k)
-    EXPECT_EQ(ledger.was_in_last(fmt::format("member {}", k), *now.step), k < life.members()) << k;
+    EXPECT_EQ(ledger.was_in_last(fmt::format("seat {}", k), *now.step), k < life.seats()) << k;
   const auto reports = reports_of(ledger);
   ASSERT_EQ(ledger.totals().steps, life.reports().size());
   EXPECT_EQ(reports.size(), ledger.journal()->reports());

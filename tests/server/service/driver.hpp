@@ -69,9 +69,9 @@ std::vector<T> values_of(const Response& response, const std::string& name) {
 // of rows, or from memory of which each reads the rows of the particles that it holds (a first time: an even share).
 enum class Path { gateway, direct, listed, held };
 
-// The rows of one client, or of one member.
+// The rows of one client, or of one seat.
 struct Block {
-  int member = 0;
+  int seat = 0;
   std::vector<std::size_t> rows;  // of the particles
   Path path = Path::gateway;
   std::vector<int> ranks;      // by row, to whom it goes; empty: an even share to each
@@ -110,7 +110,7 @@ class Blocks {
 
  private:
   Json order_of(const Block& block, std::vector<PushSlice>& slices) const {
-    Json order{{"member", block.member}, {"n", block.rows.size()}, {"dtype", block.is_float32 ? "<f4" : "<f8"}};
+    Json order{{"seat", block.seat}, {"n", block.rows.size()}, {"dtype", block.is_float32 ? "<f4" : "<f8"}};
     if (block.path == Path::gateway) {
       order["path"] = "gateway";
       if (comm_.rank() == 0) slices.push_back(received(block, block.rows));
@@ -154,7 +154,7 @@ class Blocks {
 
   // As the connections give them: float32 is widened as it arrives.
   PushSlice received(const Block& block, const std::vector<std::size_t>& rows) const {
-    PushSlice slice{.member = block.member, .count = rows.size(), .is_float32 = block.is_float32};
+    PushSlice slice{.seat = block.seat, .count = rows.size(), .is_float32 = block.is_float32};
     const auto add = [&](const char* name, const char* dtype, const auto& value_of) {
       wire::Array array{name, dtype, {rows.size()}, Buffer<std::byte>(rows.size() * 8)};
       for (std::size_t k = 0; k < rows.size(); ++k) {
@@ -172,7 +172,7 @@ class Blocks {
 
   // Columns with gaps between the rows, in which lie numbers that must not be read. Each rank has memory of its own.
   PushSlice shared(const Block& block, const std::vector<std::vector<std::size_t>>& of_rank) const {
-    PushSlice slice{.member = block.member, .rows = block.rows.size(), .is_float32 = block.is_float32};
+    PushSlice slice{.seat = block.seat, .rows = block.rows.size(), .is_float32 = block.is_float32};
     std::vector<std::byte> bytes;
     const auto add = [&](const char* name, const auto& values) {
       const std::uint64_t width = sizeof(values[0]), stride = 2 * width;
@@ -233,11 +233,11 @@ class Driver {
     return push(particles, {all_rows(particles, way)}, step, !particles.ids.empty(), 0, {{"session", session}});
   }
 
-  // By members; 0: by one client that is none. more: fields of the order.
-  Response push(const Particles& particles, std::vector<Block> blocks, std::int64_t step, bool ids, int members,
+  // By seats; 0: by one client that is none. more: fields of the order.
+  Response push(const Particles& particles, std::vector<Block> blocks, std::int64_t step, bool ids, int seats,
                 const Json& more = Json::object()) {
     Json request{{"command", "push"}, {"scene", scene_},         {"session", "s"},
-                 {"step", step},      {"members", members},      {"step_seconds", step_seconds},
+                 {"step", step},      {"seats", seats},          {"step_seconds", step_seconds},
                  {"attempt", 0},      {"cuts_known", cuts_known}};
     std::vector<PushSlice> slices;
     Blocks(comm_, particles, std::move(blocks), ids).put(request, slices);

@@ -25,7 +25,7 @@ Json seat_reply(int generation, int step) {
   return {{"scene", "s"},
           {"dims", 2},
           {"step", step < 0 ? Json() : Json(step)},
-          {"membership", {{"member", 1}, {"members", 3}, {"generation", generation}}}};
+          {"seat", {{"seat", 1}, {"seats", 3}, {"generation", generation}}}};
 }
 
 // Of 6 parts: the three particles are in the parts 0, 1 and 2, and seat 1 has 2 and 3.
@@ -96,8 +96,8 @@ TEST(Seat, SendsItsOwnRowsAndIsToldWhatLeaves) {
   }
   service.stop();
   ASSERT_EQ(got.size(), 4U);
-  EXPECT_EQ(got[0].json["member"], 1);
-  EXPECT_EQ(got[0].json["members"], 3);
+  EXPECT_EQ(got[0].json["seat"], 1);
+  EXPECT_EQ(got[0].json["seats"], 3);
   EXPECT_FALSE(got[0].json.contains("generation"));
   EXPECT_EQ(got[1].json["command"], "push.begin");
   EXPECT_EQ(got[1].json["path"], "gateway");
@@ -144,7 +144,7 @@ TEST(Seat, ThatIsTakenIsWaitedFor) {
     FakeService service([](Peer& peer, int) {
       peer.greet(2);
       const auto open = peer.receive();
-      peer.fail(*open, {Code::busy, "member 1 of scene 's' is 'jet', generation 3", ""});
+      peer.fail(*open, {Code::busy, "seat 1 of scene 's' is 'jet', generation 3", ""});
       const auto again = peer.receive();
       if (!again || again->json.value("command", "") != "scene.open") return;
       peer.reply(*again, seat_reply(4, -1));
@@ -165,7 +165,7 @@ TEST(Seat, AsksForNoGenerationTwiceUnlessItWasRefused) {
     opened.push_back(open->json);
     if (number == 1) return;
     if (number == 2) {
-      peer.fail(*open, {Code::busy, "member 1 of scene 's' has had generation 7", ""});
+      peer.fail(*open, {Code::busy, "seat 1 of scene 's' has had generation 7", ""});
       open = peer.receive();
       opened.push_back(open->json);
     }
@@ -213,7 +213,7 @@ TEST(Seat, FaultsOfTheCallerAndOfTheServiceAreNamed) {
     peer.reply(*peer.receive(), seat_reply(1, -1));
     for (int k = 0; k < 2; ++k) {
       const Received begin = receive_push(peer);
-      if (k == 0) peer.fail(begin, {Code::aborted, "member 2 has lost its connection", "push again"});
+      if (k == 0) peer.fail(begin, {Code::aborted, "seat 2 has lost its connection", "push again"});
       if (k == 1) peer.reply(begin, report(0));  // cuts without their arrays
     }
     answer_close(peer);
@@ -226,7 +226,7 @@ TEST(Seat, FaultsOfTheCallerAndOfTheServiceAreNamed) {
   EXPECT_EQ(of.step({.ids = kIds, .deadline_seconds = 0}).status().code(), Code::invalid_argument);
   const Status aborted = of.step().status();
   EXPECT_EQ(aborted.code(), Code::aborted);
-  EXPECT_NE(aborted.message().find("member 2"), std::string::npos);
+  EXPECT_NE(aborted.message().find("seat 2"), std::string::npos);
   EXPECT_EQ(of.step().status().code(), Code::protocol_error);
 }
 
@@ -238,7 +238,7 @@ TEST(Seat, AStepThatWasAbortedIsPushedAgain) {
     peer.reply(*peer.receive(), seat_reply(1, -1));
     for (; pushes < 4; ++pushes) {
       const Received begin = receive_push(peer);
-      if (pushes < 3) peer.fail(begin, {Code::aborted, "member 2 has lost its connection", "push again"});
+      if (pushes < 3) peer.fail(begin, {Code::aborted, "seat 2 has lost its connection", "push again"});
       if (pushes == 3) peer.reply(begin, report(0), told_cuts().arrays);
     }
     answer_close(peer);

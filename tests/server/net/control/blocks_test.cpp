@@ -1,4 +1,4 @@
-// Blocks that go straight to the ranks, of one client and of members: who is told of them, what fits together, and the
+// Blocks that go straight to the ranks, of one client and of seats: who is told of them, what fits together, and the
 // order that they make when every rank has what each brings it. The ranks are a plane that only notes what it is told.
 #include <mutex>
 
@@ -99,7 +99,7 @@ class Blocks : public ::testing::Test {
   // The scene has had its first push, of step 7.
   void connect(int k) {
     team_[k] = Client::on_unix(path());
-    EXPECT_EQ(team_[k].hello("member", kSessions[k]).json["data"].size(), 3U);
+    EXPECT_EQ(team_[k].hello("seat", kSessions[k]).json["data"].size(), 3U);
     if (team_[k].call("scene.create", {{"scene", "s"}}).type != FrameType::reply) return;
     team_[k].begin(kSessions[k], 7, 0);
     EXPECT_EQ(team_[k].receive_but_notices().json["report"]["step"], 7);
@@ -108,8 +108,8 @@ class Blocks : public ::testing::Test {
   void join() {
     for (int k = 0; k < 2; ++k) {
       connect(k);
-      const Received opened = team_[k].call("scene.open", {{"scene", "s"}, {"member", k}, {"members", 2}});
-      EXPECT_EQ(opened.json["membership"]["member"], k);
+      const Received opened = team_[k].call("scene.open", {{"scene", "s"}, {"seat", k}, {"seats", 2}});
+      EXPECT_EQ(opened.json["seat"]["seat"], k);
     }
   }
   void direct(int k, const std::vector<std::uint64_t>& counts, const Json& more = Json::object(),
@@ -166,7 +166,7 @@ class Blocks : public ::testing::Test {
   Client team_[2];
 };
 
-TEST_F(Blocks, AStepIsOrderedWhenEveryRankHasWhatEveryMemberBrings) {
+TEST_F(Blocks, AStepIsOrderedWhenEveryRankHasWhatEverySeatBrings) {
   join();
   direct(0, {4, 0, 1}, {{"drifted", 3}, {"dtype", "<f4"}});
   settle();
@@ -189,11 +189,11 @@ TEST_F(Blocks, AStepIsOrderedWhenEveryRankHasWhatEveryMemberBrings) {
   ASSERT_EQ(pushed(), 1U);
   const Json& order = engine_.pushed[0];
   const Json blocks{
-      {{"member", 0}, {"n", 5}, {"path", "direct"}, {"dtype", "<f4"}, {"counts", {4, 0, 1}}, {"number", first}},
-      {{"member", 1}, {"n", 5}, {"path", "direct"}, {"dtype", "<f8"}, {"counts", {0, 3, 2}}, {"number", second}}};
+      {{"seat", 0}, {"n", 5}, {"path", "direct"}, {"dtype", "<f4"}, {"counts", {4, 0, 1}}, {"number", first}},
+      {{"seat", 1}, {"n", 5}, {"path", "direct"}, {"dtype", "<f8"}, {"counts", {0, 3, 2}}, {"number", second}}};
   EXPECT_EQ(order["blocks"], blocks);
   for (const auto& [name, value] : std::map<std::string, Json>{
-           {"n", 10}, {"members", 2}, {"ids", true}, {"weights", false}, {"step_seconds", 0.5}, {"drifted", 4}})
+           {"n", 10}, {"seats", 2}, {"ids", true}, {"weights", false}, {"step_seconds", 0.5}, {"drifted", 4}})
     EXPECT_EQ(order[name], value) << name;
   EXPECT_TRUE(plane_.dropped.empty());
   // The answer is lost: the report is told again, and what comes to the ranks is dropped.
@@ -241,14 +241,14 @@ TEST_F(Blocks, OneWithoutRowsNeedNotSayWeights) {
     EXPECT_EQ(order["weights"], true);
     EXPECT_EQ(order["drifted"], 2);
     ASSERT_EQ(order["blocks"].size(), 1U);
-    EXPECT_EQ(order["blocks"][0]["member"], 1 - empty);
+    EXPECT_EQ(order["blocks"][0]["seat"], 1 - empty);
     ASSERT_EQ(engine_.slices.size(), 1U);
-    EXPECT_EQ(engine_.slices[0].member, 1 - empty);
+    EXPECT_EQ(engine_.slices[0].seat, 1 - empty);
     for (Client& one : team_) one.close();
   }
 }
 
-TEST_F(Blocks, EachMemberTakesItsOwnPath) {
+TEST_F(Blocks, EachSeatTakesItsOwnPath) {
   join();
   const Json shared{{"path", "shared"}, {"memory", memory_of({"x", "y", "id", "row"})}};
   const auto with = [&](Json more) {
@@ -274,16 +274,16 @@ TEST_F(Blocks, EachMemberTakesItsOwnPath) {
   EXPECT_EQ(block["counts"], Json({4, 0, 1}));
   EXPECT_EQ(block["sockets"], Json({1, 2}));
   EXPECT_EQ(block["number"], plane_.opened[0].ticket.number);
-  EXPECT_EQ(order["blocks"][1], (Json{{"member", 1}, {"n", 5}, {"path", "gateway"}, {"dtype", "<f8"}}));
+  EXPECT_EQ(order["blocks"][1], (Json{{"seat", 1}, {"n", 5}, {"path", "gateway"}, {"dtype", "<f8"}}));
   ASSERT_EQ(engine_.slices.size(), 1U);
-  EXPECT_TRUE(engine_.slices[0].member == 1 && engine_.slices[0].count == 5);
+  EXPECT_TRUE(engine_.slices[0].seat == 1 && engine_.slices[0].count == 5);
   for (int k = 0; k < 2; ++k) direct(k, {4, 0, 1}, with(Json::object()), 9);
   all_done(9);
   EXPECT_EQ(engine_.pushed.at(1)["blocks"][1]["sockets"], Json::array());
 }
 
-// A member whose connection to a rank was cut pushes again, long before anybody else notices.
-TEST_F(Blocks, ANewerAttemptReplacesTheOlderOfTheSameMember) {
+// A seat whose connection to a rank was cut pushes again, long before anybody else notices.
+TEST_F(Blocks, ANewerAttemptReplacesTheOlderOfTheSameSeat) {
   join();
   direct(0, {4, 0, 1});
   direct(0, {4, 0, 1}, {{"attempt", 3}});
@@ -308,7 +308,7 @@ TEST_F(Blocks, ANewerAttemptReplacesTheOlderOfTheSameMember) {
   EXPECT_EQ(engine_.pushed[0]["blocks"][1]["path"], "direct");
 }
 
-TEST_F(Blocks, WhatMembersBringTogetherIsAsMuchAsBefore) {
+TEST_F(Blocks, WhatSeatsBringTogetherIsAsMuchAsBefore) {
   join();
   gateway(0, 6);
   gateway(1, 5);
@@ -330,9 +330,9 @@ TEST_F(Blocks, WhatMembersBringTogetherIsAsMuchAsBefore) {
 TEST_F(Blocks, AtAFirstPushAllHaveWeightsOrNone) {
   for (int k = 0; k < 2; ++k) {
     team_[k] = Client::on_unix(path());
-    team_[k].hello("member", kSessions[k]);
+    team_[k].hello("seat", kSessions[k]);
     if (k == 0) team_[k].call("scene.create", {{"scene", "s"}});
-    team_[k].call("scene.open", {{"scene", "s"}, {"member", k}, {"members", 2}});
+    team_[k].call("scene.open", {{"scene", "s"}, {"seat", k}, {"seats", 2}});
   }
   direct(0, {4, 0, 1}, {{"weights", true}});
   direct(1, {0, 3, 2});
@@ -366,7 +366,7 @@ TEST_F(Blocks, WhatDoesNotFitTheSceneIsRefusedAlone) {
   direct(0, mine, Json::object(), 7);
   refused(0, "stale_step", "step 7");
   settle();
-  EXPECT_EQ(plane_.dropped.size(), 9U);  // the other member's is not among them
+  EXPECT_EQ(plane_.dropped.size(), 9U);  // the other seat's is not among them
   EXPECT_EQ(plane_.opened.size(), 1U);
   EXPECT_EQ(pushed(), 0U);
 }
@@ -380,15 +380,15 @@ TEST_F(Blocks, AShareThatARankLosesEndsTheStepForAll) {
   const std::uint64_t number =
       plane_.opened[plane_.opened[0].ticket.terms.id.session == kSessions[1] ? 0 : 1].ticket.number;
   whole(1, number, {Code::aborted, "the data connection to rank 1 was lost"});
-  for (int k = 0; k < 2; ++k) refused(k, "aborted", "member 1");
+  for (int k = 0; k < 2; ++k) refused(k, "aborted", "seat 1");
   settle();
   EXPECT_EQ(plane_.dropped.size(), 2U);
-  // Then a member goes in the midst of its slices.
+  // Then a seat goes in the midst of its slices.
   direct(0, {4, 0, 1}, {{"attempt", 2}});
   direct(1, {0, 3, 2}, {{"attempt", 2}});
   settle();
   team_[1].close();
-  refused(0, "aborted", "member 1");
+  refused(0, "aborted", "seat 1");
   team_[0].call("status");
   EXPECT_EQ(plane_.dropped.size(), 4U);
 }
@@ -405,11 +405,11 @@ TEST_F(Blocks, OneClientPushesStraightToTheRanks) {
   whole(2, number);
   EXPECT_EQ(team_[0].receive_but_notices().json["report"]["step"], 8);
   const Json& order = engine_.pushed.at(0);
-  EXPECT_EQ(order["members"], 0);
+  EXPECT_EQ(order["seats"], 0);
   EXPECT_EQ(order["session"], kSessions[0]);
   EXPECT_EQ(order["ids"], false);
   EXPECT_EQ(order["blocks"][0]["number"], number);
-  EXPECT_EQ(order["blocks"][0]["member"], 0);
+  EXPECT_EQ(order["blocks"][0]["seat"], 0);
   direct(0, {0, 0, 0}, {{"removed", 10}}, 9);  // no rank waits for anything
   EXPECT_EQ(team_[0].receive_but_notices().json["report"]["step"], 9);
   EXPECT_EQ(engine_.pushed.at(1)["blocks"], Json::array());

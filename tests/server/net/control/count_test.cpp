@@ -364,8 +364,8 @@ class SeatCount : public Count {
  protected:
   SeatCount() {
     push(anna_, kAnna, 0);
-    anna_.call("scene.open", {{"scene", "s"}, {"member", 0}, {"members", 2}});
-    bert_.call("scene.open", {{"scene", "s"}, {"member", 1}, {"members", 2}});
+    anna_.call("scene.open", {{"scene", "s"}, {"seat", 0}, {"seats", 2}});
+    bert_.call("scene.open", {{"scene", "s"}, {"seat", 1}, {"seats", 2}});
   }
   std::uint64_t half(Client& client, const Json& more = Json::object()) {
     Record one = record(1, {{"n", 5}, {"id_sum", "0000000000000007"}, {"drifted", nullptr}});
@@ -451,7 +451,7 @@ TEST_F(Question, OfAnyKindWaitsButAboutWhatTheLedgerKnows) {
 
 TEST_F(Question, TakesWhatIsHeldIfItSaysSo) {
   EXPECT_EQ(bert_.call("assign", {{"scene", "s"}, {"held", true}}).json["echo"], "assign");
-  EXPECT_FALSE(service_.engine().request().contains("members"));
+  EXPECT_FALSE(service_.engine().request().contains("seats"));
   EXPECT_EQ(bert_.call("assign", {{"scene", "s"}, {"held", "yes"}}).code(), "invalid_argument");
   expect_committed(count(anna_, record(2)), 2);
 }

@@ -243,7 +243,7 @@ TEST(Session, AnOpenSceneIsNotTakenFromUnderItsClient) {
   Client anna = service.client("anna", kAnna);
   Client bert = service.client("bert", kBert);
   anna.call("scene.create", {{"scene", "s"}});
-  EXPECT_EQ(anna.call("scene.open", {{"scene", "s"}}).json["members"], Json({"anna"}));
+  EXPECT_EQ(anna.call("scene.open", {{"scene", "s"}}).json["holders"], Json({"anna"}));
   for (const auto& [command, more] :
        {std::pair("scene.drop", Json::object()), std::pair("scene.create", Json{{"replace", true}}),
         std::pair("load", Json{{"path", "/points.csv"}})}) {
@@ -257,7 +257,7 @@ TEST(Session, AnOpenSceneIsNotTakenFromUnderItsClient) {
   EXPECT_EQ(anna.call("scene.close", {{"scene", "s"}}).type, FrameType::reply);
   EXPECT_EQ(bert.call("scene.drop", {{"scene", "s"}}).type, FrameType::reply);
   EXPECT_EQ(bert.call("scene.open", {{"scene", "s"}}).code(), "not_found");
-  EXPECT_EQ(anna.call("scene.create", {{"scene", "s"}}).json["members"], Json::array());  // bert doesn't hold it
+  EXPECT_EQ(anna.call("scene.create", {{"scene", "s"}}).json["holders"], Json::array());  // bert doesn't hold it
 }
 
 // Who has a scene open knows its number of parts, and may count by it.
@@ -300,34 +300,34 @@ TEST(Session, ScenesAreListedWithAFewOfManyHolders) {
   }
 }
 
-TEST(Session, APushThatWaitsForItsTurnGivesWayToMembersThatCameMeanwhile) {
+TEST(Session, APushThatWaitsForItsTurnGivesWayToSeatsThatCameMeanwhile) {
   TestService service([](ControlOptions& options) { options.notice_seconds = 0.05; });
   Client anna = service.client("anna", kAnna);
   Client bert = service.client("bert", kBert);
   Client bert_too = service.client("bert", kBert);
-  Client member = service.client("member", "00000000000000cc");
+  Client cara = service.client("cara", "00000000000000cc");
   anna.call("scene.create", {{"scene", "s"}});
   service.engine().hold();
   bert.request("rebalance", {{"scene", "s"}});
   service.engine().wait_for_orders(1);
   anna.begin(kAnna, 0, 5);
   EXPECT_EQ(anna.receive().type, FrameType::notice);  // now it waits
-  member.request("scene.open", {{"scene", "s"}, {"member", 0}, {"members", 2}});
+  cara.request("scene.open", {{"scene", "s"}, {"seat", 0}, {"seats", 2}});
   while (bert_too.call("scene.list").json["scenes"][0]["holders_count"] != 1) {
   }
   service.engine().release();
   const Received refused = anna.receive_but_notices();
   EXPECT_EQ(refused.code(), "busy") << refused.json;
-  EXPECT_NE(refused.message().find("2 members"), std::string::npos) << refused.message();
+  EXPECT_NE(refused.message().find("2 seats"), std::string::npos) << refused.message();
 }
 
-TEST(Session, AMembersOpenThatFailsTakesNoGeneration) {
+TEST(Session, ASeatsOpenThatFailsTakesNoGeneration) {
   TestService service;
-  Client member = service.client("member");
-  member.call("scene.create", {{"scene", "s"}});
-  Json seat{{"scene", "s"}, {"member", 0}, {"members", 1}};
-  EXPECT_EQ(member.call("scene.open", seat).code(), "");
-  Client again = service.client("member");
+  Client cara = service.client("cara");
+  cara.call("scene.create", {{"scene", "s"}});
+  Json seat{{"scene", "s"}, {"seat", 0}, {"seats", 1}};
+  EXPECT_EQ(cara.call("scene.open", seat).code(), "");
+  Client again = service.client("cara");
   Client changer = service.client("changer", kBert);
   seat["generation"] = 2;
   service.engine().hold();
@@ -339,9 +339,9 @@ TEST(Session, AMembersOpenThatFailsTakesNoGeneration) {
   seat.erase("deadline_seconds");
   const Received opened = again.call("scene.open", seat);
   EXPECT_EQ(opened.code(), "") << opened.message();
-  const Received refused = member.call("scene.open", seat);
+  const Received refused = cara.call("scene.open", seat);
   EXPECT_EQ(refused.code(), "invalid_argument") << "it held the seat: " << refused.message();
-  Client third = service.client("member");
+  Client third = service.client("cara");
   EXPECT_EQ(third.call("scene.open", seat).code(), "busy") << "one that was opened is taken";
 }
 
@@ -426,16 +426,16 @@ TEST(Session, FieldsOfTheInsideDontComeFromOutside) {
   anna.call("scene.create", {{"scene", "s"}, {"dims", 2}});
   for (int i = 0; i < 100; ++i) {  // more than may be unfinished: nothing is leaked
     const Json blocks = i % 2 == 0 ? Json(i) : Json::array({Json::object()});
-    const Json inside{{"scene", "s"}, {"blocks", blocks}, {"membership", {{"member", 0}}}, {"members", 3}};
+    const Json inside{{"scene", "s"}, {"blocks", blocks}, {"seat", {{"seat", 0}}}, {"seats", 3}};
     EXPECT_EQ(anna.call("rebalance", inside).type, FrameType::reply);
     EXPECT_EQ(service.engine().request(), (Json{{"command", "rebalance"}, {"scene", "s"}}));
   }
-  anna.begin(kAnna, 0, 4, {{"blocks", 7}, {"members", 3}});
+  anna.begin(kAnna, 0, 4, {{"blocks", 7}, {"seats", 3}});
   anna.slice(kAnna, 0, 4);
   EXPECT_EQ(anna.receive_but_notices().json["report"]["step"], 0);
-  EXPECT_EQ(service.engine().request()["members"], 0);
+  EXPECT_EQ(service.engine().request()["seats"], 0);
   EXPECT_EQ(service.engine().request()["blocks"],
-            Json::array({{{"member", 0}, {"n", 4}, {"path", "gateway"}, {"dtype", "<f8"}}}));
+            Json::array({{{"seat", 0}, {"n", 4}, {"path", "gateway"}, {"dtype", "<f8"}}}));
   for (const char* command : {"push", "plan", "nonsense", ""})
     EXPECT_EQ(anna.call(command, {{"scene", "s"}, {"blocks", 1}}).code(), "unsupported") << command;
 }

@@ -52,10 +52,10 @@ TEST(Blocks, TwinsAreNamedAndWhoPushesThem) {
       OwnDriver driver(comm, "t", {{"parts", 3}, {"dims", 2}});
       const Particles particles = with_ids(9, 50, 2);
       Particles twins = particles;
-      twins.ids[10] = twins.ids[31] = 7;  // rows of member 1 of 3, of members 2 and 3 of 4
-      const auto told = [&](std::int64_t step, std::size_t members, const Json& more) {
-        const auto blocks = members == 0 ? dealt(comm, twins, path) : shares(comm, twins, members, path);
-        const Response refused = driver.push(twins, blocks, step, true, static_cast<int>(members), more);
+      twins.ids[10] = twins.ids[31] = 7;  // rows of seat 1 of 3, of seats 2 and 3 of 4
+      const auto told = [&](std::int64_t step, std::size_t seats, const Json& more) {
+        const auto blocks = seats == 0 ? dealt(comm, twins, path) : shares(comm, twins, seats, path);
+        const Response refused = driver.push(twins, blocks, step, true, static_cast<int>(seats), more);
         if (comm.rank() != 0) return std::string();
         EXPECT_EQ(refused.status.code(), Code::duplicate_id) << refused.status.message();
         return refused.status.message();
@@ -64,8 +64,8 @@ TEST(Blocks, TwinsAreNamedAndWhoPushesThem) {
         const std::string one = told(step, 0, more), same = told(step, 3, more), others = told(step, 4, more);
         if (comm.rank() != 0) return;
         EXPECT_EQ(one, "id 7 occurs more than once");
-        EXPECT_EQ(same, "member 1 pushes id 7 twice");
-        EXPECT_EQ(others, "id 7 is pushed by member 2 and by member 3");
+        EXPECT_EQ(same, "seat 1 pushes id 7 twice");
+        EXPECT_EQ(others, "id 7 is pushed by seat 2 and by seat 3");
       };
       tell(0, Json::object());
       const Response pushed = driver.push(particles, dealt(comm, particles, path), 0, true, 0);
@@ -282,15 +282,15 @@ TEST(Blocks, GiveTheirMemoryBack) {
     driver.service.take_spares();
     for (std::int64_t step = 1; step < 9; ++step) {
       const bool direct = step % 2 == 0;
-      const std::size_t members = step % 4 < 2 ? 1 : 2;
-      auto blocks = shares(comm, particles, members, direct ? Path::direct : Path::gateway);
+      const std::size_t seats = step % 4 < 2 ? 1 : 2;
+      auto blocks = shares(comm, particles, seats, direct ? Path::direct : Path::gateway);
       for (Block& block : blocks) block.ranks.clear();
-      const Response pushed = driver.push(particles, blocks, step, true, static_cast<int>(members));
+      const Response pushed = driver.push(particles, blocks, step, true, static_cast<int>(seats));
       EXPECT_TRUE(comm.rank() != 0 || pushed.status.ok()) << pushed.status.message();
       std::size_t buffers = 0;
       for (const service::Spare& spare : driver.service.take_spares()) buffers += spare.buffers.size();
       EXPECT_EQ(buffers > 0, direct) << "step " << step;
-      EXPECT_LE(buffers, 3 * members);
+      EXPECT_LE(buffers, 3 * seats);
     }
   });
 }

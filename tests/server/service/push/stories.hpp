@@ -89,12 +89,12 @@ inline std::vector<Block> dealt(const comm::Comm& comm, const Particles& particl
   return {block};
 }
 
-// The same by members in turn.
-inline std::vector<Block> shares(const comm::Comm& comm, const Particles& particles, std::size_t members, Path path) {
-  std::vector<Block> blocks(members);
-  for (std::size_t row = 0; row < particles.count(); ++row) blocks[row % members].rows.push_back(row);
-  for (std::size_t k = 0; k < members; ++k) {
-    blocks[k].member = static_cast<int>(k);
+// The same by seats in turn.
+inline std::vector<Block> shares(const comm::Comm& comm, const Particles& particles, std::size_t seats, Path path) {
+  std::vector<Block> blocks(seats);
+  for (std::size_t row = 0; row < particles.count(); ++row) blocks[row % seats].rows.push_back(row);
+  for (std::size_t k = 0; k < seats; ++k) {
+    blocks[k].seat = static_cast<int>(k);
     blocks[k].path = path;
     Random random(k);
     if (path != Path::gateway) to_random_ranks(blocks[k], comm.size(), random);

@@ -1,4 +1,4 @@
-// A step is its particles, whoever brings them and by whichever way: one history by one client and by members, through
+// A step is its particles, whoever brings them and by whichever way: one history by one client and by seats, through
 // the endpoint, over sockets and from shared memory, on any number of ranks.
 #include "tests/server/service/push/stories.hpp"
 
@@ -72,37 +72,37 @@ Story make_story(std::uint64_t seed) {
 }
 
 // in_order: rows without ids, so that those for the next rank follow those for the last.
-enum class Teller { held, divided, direct, in_order, listed, members, any };
+enum class Teller { held, divided, direct, in_order, listed, seats, any };
 constexpr Teller kTellers[] = {Teller::held,   Teller::divided, Teller::direct, Teller::in_order,
-                               Teller::listed, Teller::members, Teller::any};
+                               Teller::listed, Teller::seats,   Teller::any};
 
 struct Telling {
   std::vector<Block> blocks;
   bool ids = false;
-  int members = 0;
+  int seats = 0;
 };
 
-Telling tell_by_members(const Story& story, const Particles& particles, int ranks, Random& random) {
-  const std::uint64_t members = 1 + random.below(5);
-  std::vector<Block> blocks(members);
-  for (const std::size_t row : shuffled(particles.count(), random)) blocks[random.below(members)].rows.push_back(row);
-  if (random.below(3) == 0 && members > 1) {  // one has nothing
+Telling tell_by_seats(const Story& story, const Particles& particles, int ranks, Random& random) {
+  const std::uint64_t seats = 1 + random.below(5);
+  std::vector<Block> blocks(seats);
+  for (const std::size_t row : shuffled(particles.count(), random)) blocks[random.below(seats)].rows.push_back(row);
+  if (random.below(3) == 0 && seats > 1) {  // one has nothing
     blocks[0].rows.insert(blocks[0].rows.end(), blocks[1].rows.begin(), blocks[1].rows.end());
     blocks[1].rows.clear();
   }
-  for (std::size_t k = 0; k < members; ++k) {
-    blocks[k].member = static_cast<int>(k);
+  for (std::size_t k = 0; k < seats; ++k) {
+    blocks[k].seat = static_cast<int>(k);
     blocks[k].path = std::vector{Path::gateway, Path::direct, Path::listed}[random.below(3)];
     blocks[k].is_float32 = story.float32 && random.below(2) == 0;
     if (blocks[k].path != Path::gateway) to_random_ranks(blocks[k], ranks, random);
   }
-  return {std::move(blocks), true, static_cast<int>(members)};
+  return {std::move(blocks), true, static_cast<int>(seats)};
 }
 
 Telling tell(Teller teller, const Story& story, std::size_t step, int ranks, Random& random) {
   const Particles& particles = story.frames[step].particles;
   if (teller == Teller::any) teller = kTellers[random.below(6)];
-  if (teller == Teller::members) return tell_by_members(story, particles, ranks, random);
+  if (teller == Teller::seats) return tell_by_seats(story, particles, ranks, random);
   if (teller == Teller::held && story.ids && step > 0) teller = Teller::listed;
   Telling telling{.blocks = {}, .ids = story.ids || teller == Teller::direct};
   Block block = all_rows(particles);
@@ -167,7 +167,7 @@ void check_work(const Story& story, const Telling& telling, const Particles& par
   for (const Block& block : telling.blocks)
     for (const std::size_t row : block.rows) {
       const std::int32_t part = after.at(id_of(particles, row));
-      if (telling.members > 1 && layout::rank_of_part(part, story.parts, telling.members) != block.member) ++strangers;
+      if (telling.seats > 1 && layout::rank_of_part(part, story.parts, telling.seats) != block.seat) ++strangers;
     }
   if (first || (held && !new_cuts)) {
     EXPECT_EQ(report["drifted"], drifted);
@@ -175,7 +175,7 @@ void check_work(const Story& story, const Telling& telling, const Particles& par
   if (!first && !held && particles.count() > 0) {
     EXPECT_TRUE(report["drifted"].is_null()) << report["drifted"];
   }
-  if (first || telling.members <= 1) {
+  if (first || telling.seats <= 1) {
     EXPECT_EQ(report["strangers"], 0);
   } else if (!new_cuts) {
     EXPECT_EQ(report["strangers"], strangers);
@@ -194,7 +194,7 @@ void tell_story(comm::Comm& comm, const Story& story, Teller teller, Reference& 
     const auto& [particles, inserted, removed] = story.frames[step];
     const Telling telling = tell(teller, story, step, comm.size(), random);
     const Response pushed = driver.push(particles, telling.blocks, static_cast<std::int64_t>(step), telling.ids,
-                                        telling.members, flow(inserted, removed));
+                                        telling.seats, flow(inserted, removed));
     const Response shown = driver.ask("scene.show"), fetched = driver.ask("fetch"), assigned = driver.ask("assign");
     if (comm.rank() != 0) continue;
     SCOPED_TRACE(
@@ -254,7 +254,7 @@ TEST(Stories, OfParticlesInOnePlaceAreTheSameToo) {
       story.frames.push_back(frame);
     }
     Tally tally;
-    for (const Teller teller : {Teller::divided, Teller::direct, Teller::listed, Teller::members})
+    for (const Teller teller : {Teller::divided, Teller::direct, Teller::listed, Teller::seats})
       tell_story(comm, story, teller, reference, tally);
   });
 }

@@ -1,15 +1,15 @@
-"""Parallel solvers: M members push a scene together, wait for one another, die and return."""
+"""Parallel solvers: M seats push a scene together, wait for one another, die and return."""
 import threading
 import unittest.mock
 
 import judge
-from member_client import Member, owner
+from seat_client import Seat, owner
 from protocol_client import NOTICE, Client, Refused, arrays_of, reframed
 from push_client import WAYS, Block
 from support import *
 
 
-class Members(ServiceTest):
+class Seats(ServiceTest):
     ranks = 3
 
     @classmethod
@@ -25,8 +25,8 @@ class Members(ServiceTest):
     def create(self, scene, parts=7):
         self.control.ask("scene.create", scene=scene, parts=parts, replace=True)
 
-    def team(self, scene, members, **kwargs):
-        team = [Member(self.path, scene, k, members, **kwargs) for k in range(members)]
+    def team(self, scene, seats, **kwargs):
+        team = [Seat(self.path, scene, k, seats, **kwargs) for k in range(seats)]
         for one in team:
             self.addCleanup(one.close)
         return team
@@ -57,14 +57,14 @@ class Members(ServiceTest):
         self.create("one")
         for step, points in enumerate(self.walk):
             self.control.push("one", step, points, ids=np.arange(600))
-        for members in (1, 2, 3, 5):
+        for seats in (1, 2, 3, 5):
             self.create("many")
-            team = self.team("many", members)
-            rng = np.random.default_rng(members)
+            team = self.team("many", seats)
+            rng = np.random.default_rng(seats)
             known = {}
             for step, points in enumerate(self.walk):  # any split, in any order, by any ways, new ones every time
                 order = rng.permutation(len(points))
-                shares = np.split(order, np.sort(rng.integers(0, len(points) + 1, members - 1)))
+                shares = np.split(order, np.sort(rng.integers(0, len(points) + 1, seats - 1)))
                 for k, (one, ids) in enumerate(zip(team, shares)):
                     deal = np.split(rng.permutation(len(ids)), np.sort(rng.integers(0, len(ids) + 1, 2)))
                     one.start(step, ids, points, way=str(rng.choice(WAYS)), deal=deal, each=70,
@@ -83,29 +83,29 @@ class Members(ServiceTest):
             for one in team:
                 one.close()
 
-    def test_members_keep_their_parts(self):
+    def test_seats_keep_their_parts(self):
         """Who hands over what left its parts brings as strangers what has left since."""
         parts, n = 7, len(self.walk[0])
-        for members in (1, 2, 3, 5):
+        for seats in (1, 2, 3, 5):
             self.create("keep", parts)
-            team, tree, strange = self.team("keep", members), None, 0
-            held = np.array_split(np.arange(n), members)
+            team, tree, strange = self.team("keep", seats), None, 0
+            held = np.array_split(np.arange(n), seats)
             for step, points in enumerate(self.walk):
                 answers = self.push_all(team, step, held, points, cuts_known={})
                 expected = 0
-                if tree and members > 1:
-                    left = owner(tree.assign(points), parts, members)
+                if tree and seats > 1:
+                    left = owner(tree.assign(points), parts, seats)
                     expected = sum(int((left[ids] != k).sum()) for k, ids in enumerate(held))
                 self.assertEqual(answers[0][0]["report"]["strangers"], expected if tree else 0)
                 strange += expected
                 tree = judge.Tree.of_arrays(answers[0][1], 3)
-                of_id = owner(tree.assign(points), parts, members)
-                held = [np.flatnonzero(of_id == k) for k in range(members)]
-            self.assertEqual(strange > 0, members > 1)
+                of_id = owner(tree.assign(points), parts, seats)
+                held = [np.flatnonzero(of_id == k) for k in range(seats)]
+            self.assertEqual(strange > 0, seats > 1)
             for one in team:
                 one.close()
 
-    def test_particles_that_come_and_go_in_a_scene_of_weights_and_empty_members(self):
+    def test_particles_that_come_and_go_in_a_scene_of_weights_and_empty_seats(self):
         ids, come = np.array([5, 900, 7, 2**62, 11]), 6
         points = np.random.default_rng(1).random((6, 2))
         self.control.ask("scene.create", scene="sparse", parts=2, dims=2, replace=True)
@@ -123,7 +123,7 @@ class Members(ServiceTest):
         none = ((0, 0),) * 3
         for number in range(2):
             self.assertEqual([report["n"] for report in step(number, ids, *none)], [5] * 3)
-        report = step(2, np.append(ids, come), (0, 0), (0, 0), (1, 0))[0]  # one comes to the last member
+        report = step(2, np.append(ids, come), (0, 0), (0, 0), (1, 0))[0]  # one comes to the last seat
         self.assertEqual((report["n"], report["inserted"], report["removed"]), (6, 1, 0))
         others = np.append(ids[:-1], (13, come))  # the first says one is gone, the last has another
         report = step(3, others, (0, 1), (0, 0), (1, 0))[0]
@@ -137,36 +137,36 @@ class Members(ServiceTest):
 
         def refuses(code, *words, **kwargs):
             with self.assertRaises(Refused) as caught:
-                Member(self.path, "seats", **kwargs)
+                Seat(self.path, "seats", **kwargs)
             self.assertEqual(caught.exception.args[0], code, caught.exception.args)
             for word in words:
                 self.assertIn(word, caught.exception.args[1])
 
         team = self.team("seats", 2)
-        self.assertEqual(team[1].opened["membership"], {"member": 1, "members": 2, "generation": 1})
-        refuses("busy", "member 1", "generation 1", member=1, members=2)
-        refuses("invalid_argument", "members of 2", member=1, members=3)
-        refuses("invalid_argument", "member", member=2, members=2)
-        refuses("busy", "generation", member=1, members=2, generation=1)
+        self.assertEqual(team[1].opened["seat"], {"seat": 1, "seats": 2, "generation": 1})
+        refuses("busy", "seat 1", "generation 1", seat=1, seats=2)
+        refuses("invalid_argument", "2 seats", seat=1, seats=3)
+        refuses("invalid_argument", "seat", seat=2, seats=2)
+        refuses("busy", "generation", seat=1, seats=2, generation=1)
         with self.assertRaises(Refused) as caught:
-            team[0].ask("scene.open", scene="seats", member=0, members=2, generation=9)
+            team[0].ask("scene.open", scene="seats", seat=0, seats=2, generation=9)
         self.assertEqual(caught.exception.args[0], "invalid_argument")
         with self.assertRaises(Refused) as caught:  # others may look, not push
             self.control.push("seats", 0, self.walk[0])
         self.assertEqual(caught.exception.args[0], "busy")
-        self.assertIn("2 members", caught.exception.args[1])
+        self.assertIn("2 seats", caught.exception.args[1])
         with self.assertRaises(Refused) as caught:
             self.control.ask("load", scene="seats", path=self.save("theirs.npy", self.walk[0]))
         self.assertEqual(caught.exception.args[0], "busy")
-        self.assertIn("2 members", caught.exception.args[1])
+        self.assertIn("2 seats", caught.exception.args[1])
         for one in team:
             one.ask("scene.close", scene="seats")
-        third = Member(self.path, "seats", 2, 3)
+        third = Seat(self.path, "seats", 2, 3)
         third.ask("scene.close", scene="seats")  # a connection's end is noticed in its own time
         third.close()
         self.create("seats")
 
-    def test_a_member_that_never_pushes(self):
+    def test_a_seat_that_never_pushes(self):
         self.create("late")
         team = self.team("late", 4)
         halves = np.array_split(np.arange(600), 4)
@@ -174,7 +174,7 @@ class Members(ServiceTest):
             team[k].start(0, halves[k], self.walk[0], deadline_seconds=1)
         team[1].begin(0, halves[1], self.walk[0], deadline_seconds=9)  # and this one no slice
         for k in (0, 1, 3):
-            self.refused(team[k], "deadline_exceeded", "member 1", "member 2", "step 0")
+            self.refused(team[k], "deadline_exceeded", "seat 1", "seat 2", "step 0")
         self.push_all(team, 0, halves, self.walk[0])
         self.assertEqual(self.state("late")[0]["step"], 0)
 
@@ -196,7 +196,7 @@ class Members(ServiceTest):
             control = Client(service.endpoint[5:])
             self.addCleanup(control.close)
             control.ask("scene.create", scene="slow", parts=2)
-            team = [Member(service.endpoint[5:], "slow", k, 2) for k in range(2)]
+            team = [Seat(service.endpoint[5:], "slow", k, 2) for k in range(2)]
             for one in team:
                 self.addCleanup(one.close)
             halves = np.array_split(np.arange(600), 2)
@@ -216,18 +216,18 @@ class Members(ServiceTest):
             self.assertEqual(control.ask("scene.show", scene="slow")[0]["step"], 0)
             self.push_all(team, 1, halves, self.walk[1])
 
-    def test_waiting_members_are_told_for_whom(self):
+    def test_waiting_seats_are_told_for_whom(self):
         self.create("told")
         team = self.team("told", 2)
         team[0].start(0, np.arange(300), self.walk[0])
         kind, request, document, _ = team[0].receive()  # after five seconds
         self.assertEqual((kind, request), (NOTICE, team[0].begun))
-        self.assertIn("member 1", document["notice"])
+        self.assertIn("seat 1", document["notice"])
         team[1].start(0, np.arange(300, 600), self.walk[0])
         self.assertEqual(team[0].finish()[0]["report"]["step"], 0)
         team[1].finish()
 
-    def test_a_member_that_dies_in_mid_push_and_returns(self):
+    def test_a_seat_that_dies_in_mid_push_and_returns(self):
         self.create("dies")
         halves = np.array_split(np.arange(600), 3)
         team = self.team("dies", 3)
@@ -238,20 +238,20 @@ class Members(ServiceTest):
                 team[k].start(1, halves[k], self.walk[1])
             if cut:
                 team[2].begin(1, halves[2], self.walk[1], cut)
-            generation = team[2].opened["membership"]["generation"]
+            generation = team[2].opened["seat"]["generation"]
             team[2].close()
             for k in (0, 1):
-                self.refused(team[k], "aborted", "member 2", "connection")
+                self.refused(team[k], "aborted", "seat 2", "connection")
             self.assertEqual(self.state("dies"), before)
-            team[2] = Member(self.path, "dies", 2, 3)
+            team[2] = Seat(self.path, "dies", 2, 3)
             self.addCleanup(team[2].close)
-            self.assertEqual(team[2].opened["membership"]["generation"], generation + 1)
+            self.assertEqual(team[2].opened["seat"]["generation"], generation + 1)
         self.push_all(team, 1, halves, self.walk[1])
         # Away between two steps: the others wait for the return.
         team[2].close()
         for k in (0, 1):
             team[k].start(2, halves[k], self.walk[2])
-        team[2] = Member(self.path, "dies", 2, 3)
+        team[2] = Seat(self.path, "dies", 2, 3)
         self.addCleanup(team[2].close)
         team[2].start(2, halves[2], self.walk[2])
         for one in team:
@@ -264,10 +264,10 @@ class Members(ServiceTest):
         old = team[1]
         team[0].start(0, halves[0], self.walk[0])
         old.begin(0, halves[1], self.walk[0] + 5)
-        new = Member(self.path, "older", 1, 2, generation=2)
+        new = Seat(self.path, "older", 1, 2, generation=2)
         self.addCleanup(new.close)
-        self.refused(team[0], "aborted", "member 1", "generation 2")
-        self.refused(old, "aborted", "member 1")
+        self.refused(team[0], "aborted", "seat 1", "generation 2")
+        self.refused(old, "aborted", "seat 1")
         team[0].start(0, halves[0], self.walk[0])
         old.rest()  # too late: read and dropped
         old.start(0, halves[1], self.walk[0] + 5)
@@ -284,12 +284,12 @@ class Members(ServiceTest):
         team = self.team("again", 2)
         answers = self.push_all(team, 0, halves, self.walk[0])
         team[1].close()
-        back = Member(self.path, "again", 1, 2, session=team[1].session)
+        back = Seat(self.path, "again", 1, 2, session=team[1].session)
         self.addCleanup(back.close)
         back.start(0, halves[1][:9], self.walk[1], way="direct")  # whatever it brings
         answer, arrays = back.finish()
         self.assertEqual((answer["repeated"], answer["report"], arrays), (True, answers[1][0]["report"], {}))
-        stranger = Member(self.path, "again", 1, 2, generation=7)
+        stranger = Seat(self.path, "again", 1, 2, generation=7)
         self.addCleanup(stranger.close)
         stranger.start(0, halves[1], self.walk[0])
         self.refused(stranger, "stale_step", "0")
@@ -301,14 +301,14 @@ class Members(ServiceTest):
         self.push_all(team, 0, halves, self.walk[0])
         for one in team:
             one.close()
-        wait_for(lambda: "e2e" not in self.control.ask("scene.show", scene="later")[0]["members"])
-        self.control.push("later", 1, self.walk[1], ids=np.arange(600))  # the members had no part in it
-        back = Member(self.path, "later", 1, 2, session=team[1].session)
+        wait_for(lambda: "e2e" not in self.control.ask("scene.show", scene="later")[0]["holders"])
+        self.control.push("later", 1, self.walk[1], ids=np.arange(600))  # the seats had no part in it
+        back = Seat(self.path, "later", 1, 2, session=team[1].session)
         self.addCleanup(back.close)
         back.start(0, halves[1], self.walk[0])
         self.refused(back, "stale_step", "step 0")
 
-    def test_what_members_push_wrong(self):
+    def test_what_seats_push_wrong(self):
         self.create("wrong")
         team = self.team("wrong", 2)
         ids = np.arange(600)
@@ -319,8 +319,8 @@ class Members(ServiceTest):
             for one in team:
                 self.refused(one, code, *words)
 
-        both("duplicate_id", ("id 299", "member 0", "member 1"), ids[:300], ids[299:])
-        both("duplicate_id", ("id 5", "twice", "member 1"), ids[:5], np.append(ids[5:], 5))
+        both("duplicate_id", ("id 299", "seat 0", "seat 1"), ids[:300], ids[299:])
+        both("duplicate_id", ("id 5", "twice", "seat 1"), ids[:5], np.append(ids[5:], 5))
         bad = self.walk[0].copy()
         bad[17, 1] = np.nan
         both("not_finite", ("17",), ids[:300], ids[300:], bad)
@@ -365,12 +365,12 @@ class Members(ServiceTest):
             one.rest()
         link, data = team[-1].slices[1]
         link.sendall(reframed(data, lambda document: document.update(first=40)))
-        refuse_all("invalid_argument", "member 3")
+        refuse_all("invalid_argument", "seat 3")
         for one, ids in zip(team, shares):
             one.begin(1, ids, self.walk[1], deadline_seconds=1 if one is team[0] else 20)
         for one in team[:2]:
             one.rest()
-        refuse_all("deadline_exceeded", "member 2", "member 3")
+        refuse_all("deadline_exceeded", "seat 2", "seat 3")
         for one, ids in zip(team, shares):
             one.begin(1, ids, self.walk[1])
         for one in team[:-1]:
@@ -379,13 +379,13 @@ class Members(ServiceTest):
         link.sendall(data[: len(data) // 2])
         team[-1].close()
         for one in team[:-1]:
-            self.refused(one, "aborted", "member 3")
+            self.refused(one, "aborted", "seat 3")
         self.assertEqual(self.state("odd"), before)
-        team[-1] = Member(self.path, "odd", 3, 4)
+        team[-1] = Seat(self.path, "odd", 3, 4)
         self.addCleanup(team[-1].close)
         self.push_all(team, 1, shares, self.walk[1])
 
-    def test_a_rebalance_between_members_does_not_stop_them(self):
+    def test_a_rebalance_between_seats_does_not_stop_them(self):
         self.create("between")
         halves = np.array_split(np.arange(600), 2)
         team = self.team("between", 2)

@@ -1,4 +1,4 @@
-#include "tests/bench/step/step_members.hpp"
+#include "tests/bench/step/step_seats.hpp"
 
 #include <algorithm>
 #include <barrier>
@@ -14,7 +14,7 @@
 
 namespace rcb::bench {
 
-struct MemberTeam::Member {
+struct SeatTeam::Seat {
   std::optional<client::Client> client;
   std::optional<client::Scene> scene;
   std::vector<std::int64_t> ids;  // of the particles it has: their rows
@@ -41,57 +41,57 @@ struct MemberTeam::Member {
   }
 };
 
-MemberTeam::MemberTeam(const std::array<std::vector<double>, 3> (&axes)[2], int dims, int members)
+SeatTeam::SeatTeam(const std::array<std::vector<double>, 3> (&axes)[2], int dims, int seats)
     : axes_(axes), dims_(dims) {
-  for (int k = 0; k < members; ++k) members_.push_back(std::make_unique<Member>());
+  for (int k = 0; k < seats; ++k) seats_.push_back(std::make_unique<Seat>());
 }
-MemberTeam::~MemberTeam() = default;
-MemberTeam::MemberTeam(MemberTeam&&) noexcept = default;
+SeatTeam::~SeatTeam() = default;
+SeatTeam::SeatTeam(SeatTeam&&) noexcept = default;
 
-Status MemberTeam::open(const std::string& endpoint, const std::string& scene, client::Path path) {
-  const int members = static_cast<int>(members_.size());
-  for (int k = 0; k < members; ++k) {
-    Member& mine = *members_[static_cast<std::size_t>(k)];
-    auto client = client::Client::connect({.endpoint = endpoint, .name = fmt::format("member {}", k), .path = path});
+Status SeatTeam::open(const std::string& endpoint, const std::string& scene, client::Path path) {
+  const int seats = static_cast<int>(seats_.size());
+  for (int k = 0; k < seats; ++k) {
+    Seat& mine = *seats_[static_cast<std::size_t>(k)];
+    auto client = client::Client::connect({.endpoint = endpoint, .name = fmt::format("seat {}", k), .path = path});
     if (!client.ok()) return client.status();
     mine.client.emplace(std::move(*client));
-    auto opened = mine.client->open_scene(scene, {.seat = k, .seats = members});
+    auto opened = mine.client->open_scene(scene, {.seat = k, .seats = seats});
     if (!opened.ok()) return opened.status();
     mine.scene.emplace(std::move(*opened));
     const std::uint64_t n = axes_[0][0].size();
-    for (std::uint64_t row = layout::row_begin(k, n, members); row < layout::row_begin(k + 1, n, members); ++row)
+    for (std::uint64_t row = layout::row_begin(k, n, seats); row < layout::row_begin(k + 1, n, seats); ++row)
       mine.ids.push_back(static_cast<std::int64_t>(row));
   }
   return {};
 }
 
-Result<double> MemberTeam::step(int phase, client::StepReport& report) {
+Result<double> SeatTeam::step(int phase, client::StepReport& report) {
   const SteadyClock clock;
   double start = 0;
-  std::barrier ready(static_cast<std::ptrdiff_t>(members_.size()), [&]() noexcept { start = clock.seconds(); });
-  std::vector<double> ended(members_.size());
+  std::barrier ready(static_cast<std::ptrdiff_t>(seats_.size()), [&]() noexcept { start = clock.seconds(); });
+  std::vector<double> ended(seats_.size());
   {
     std::vector<std::jthread> threads;
-    for (std::size_t k = 0; k < members_.size(); ++k)
+    for (std::size_t k = 0; k < seats_.size(); ++k)
       threads.emplace_back([&, k] {
-        Member& mine = *members_[k];
+        Seat& mine = *seats_[k];
         mine.take_positions(axes_[phase], dims_);
         ready.arrive_and_wait();
         mine.push(dims_);
         ended[k] = clock.seconds();
       });
   }
-  for (const auto& mine : members_)
+  for (const auto& mine : seats_)
     if (!mine->status.ok()) return mine->status;
-  std::vector<std::vector<std::int64_t>> arriving(members_.size());
-  for (const auto& mine : members_)
+  std::vector<std::vector<std::int64_t>> arriving(seats_.size());
+  for (const auto& mine : seats_)
     for (const client::LeavingRow& one : mine->leaving)
       arriving[static_cast<std::size_t>(one.to)].push_back(std::exchange(mine->ids[one.row], -1));
-  for (std::size_t k = 0; k < members_.size(); ++k) {
-    std::erase(members_[k]->ids, -1);
-    std::ranges::copy(arriving[k], std::back_inserter(members_[k]->ids));
+  for (std::size_t k = 0; k < seats_.size(); ++k) {
+    std::erase(seats_[k]->ids, -1);
+    std::ranges::copy(arriving[k], std::back_inserter(seats_[k]->ids));
   }
-  report = members_.front()->report;
+  report = seats_.front()->report;
   return *std::max_element(ended.begin(), ended.end()) - start;
 }
 

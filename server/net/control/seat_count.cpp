@@ -1,11 +1,11 @@
-// MemberGroups, part 3: a step that all members count, until all have, and the ledger has decided.
+// SeatGroups, part 3: a step that all seats count, until all have, and the ledger has decided.
 #include <utility>
 
 #include <fmt/format.h>
 
 #include "server/api/ledger_answers.hpp"
 #include "server/net/control/coordinator.hpp"
-#include "server/net/control/members.hpp"
+#include "server/net/control/seats.hpp"
 
 namespace rcb::net {
 
@@ -16,17 +16,17 @@ namespace {
 constexpr const char* kRepeat = "the previous step stands; count or push again";
 
 // To all that have counted.
-void tell_counting(const MemberCount& counting, FrameType type, const std::string& json) {
+void tell_counting(const SeatCount& counting, FrameType type, const std::string& json) {
   for (const auto& begin : counting.waiting)
     if (begin) begin->connection->send_text(type, begin->request, json);
 }
 
 }  // namespace
 
-Status MemberGroups::count(CountBegin begin) {
+Status SeatGroups::count(CountBegin begin) {
   Group* group = find(begin.scene);
   const auto seat = group == nullptr ? std::nullopt : seat_of(*group, begin.connection.get());
-  if (!seat) return {Code::aborted, "another generation of this member has opened the scene", "open it again"};
+  if (!seat) return {Code::aborted, "another generation of this seat has opened the scene", "open it again"};
   scene::Ledger* ledger = coordinator_.scenes().find(begin.scene);
   if (ledger == nullptr) return coordinator_.unknown_scene(begin.scene);
   if (group->counting && !begin.fault.ok() && begin.step == group->counting->tally.step()) {
@@ -37,17 +37,17 @@ Status MemberGroups::count(CountBegin begin) {
   if (const Status fits = ledger->check_seat(*begin.record); !fits.ok()) {
     // A seat that repeats a step of which the others have the answer.
     if (fits.code() != Code::stale_step || !ledger->was_in_last(begin.record->session, begin.step)) return fits;
-    return send_to(begin, api::repeated_to_member(*ledger));
+    return send_to(begin, api::repeated_to_seat(*ledger));
   }
   const auto open = coordinator_.gate(begin.scene).push;
-  if (open && open->round) return send_to(begin, R"({"send":"other members push this step"})");
+  if (open && open->round) return send_to(begin, R"({"send":"other seats push this step"})");
   if (group->counting && group->counting->tally.step() != begin.step)
     return {Code::invalid_argument,
-            fmt::format("member {} counts step {}, the others count step {}", *seat, begin.step,
+            fmt::format("seat {} counts step {}, the others count step {}", *seat, begin.step,
                         group->counting->tally.step()),
-            "all members count the same step"};
+            "all seats count the same step"};
   if (!group->counting) open_count(begin.scene, begin.step, *group);
-  MemberCount& counting = *group->counting;
+  SeatCount& counting = *group->counting;
   begin.session = scene::session_key(begin.record->session);
   counting.tally.put(*seat, std::move(*begin.record));
   begin.record.reset();
@@ -56,7 +56,7 @@ Status MemberGroups::count(CountBegin begin) {
   const TimePoint before = counting.end;
   if (older) {
     older->connection->send(FrameType::failure, older->request,
-                            wire::failure_json({Code::aborted, "a newer count by the same member replaced it"}));
+                            wire::failure_json({Code::aborted, "a newer count by the same seat replaced it"}));
     counting.end = TimePoint::max();  // that of a count that was replaced counts no more
     for (const auto& one : counting.waiting)
       if (one) counting.end = std::min(counting.end, one->end);
@@ -67,28 +67,28 @@ Status MemberGroups::count(CountBegin begin) {
   return {};
 }
 
-Status MemberGroups::send_to(const CountBegin& begin, const std::string& json) {
+Status SeatGroups::send_to(const CountBegin& begin, const std::string& json) {
   begin.connection->send_text(FrameType::reply, begin.request, json);
   return {};
 }
 
-void MemberGroups::decide(Group& group, scene::Ledger& ledger) {
+void SeatGroups::decide(Group& group, scene::Ledger& ledger) {
   auto all = group.counting->tally.sum(ledger.now().options.parts);
   if (!all.ok()) return end_count(group, all.status());
-  all->session = kMembersSession;
+  all->session = kSeatsSession;
   for (const auto& begin : group.counting->waiting) all->sessions.push_back(begin->session);
   const scene::CountVerdict verdict = ledger.count(*all);
   if (const auto* refused = std::get_if<Status>(&verdict.is)) return end_count(group, *refused);
   answer_count(group, api::verdict_text(ledger, verdict));
 }
 
-void MemberGroups::answer_count(Group& group, const std::string& json) { close_count(group, FrameType::reply, json); }
+void SeatGroups::answer_count(Group& group, const std::string& json) { close_count(group, FrameType::reply, json); }
 
-void MemberGroups::end_count(Group& group, const Status& why) {
+void SeatGroups::end_count(Group& group, const Status& why) {
   close_count(group, FrameType::failure, wire::dump_json(wire::failure_json(why)));
 }
 
-void MemberGroups::close_count(Group& group, FrameType type, const std::string& json) {
+void SeatGroups::close_count(Group& group, FrameType type, const std::string& json) {
   const auto counting = std::exchange(group.counting, nullptr);
   if (counting == nullptr) return;
   counting->over = true;
@@ -96,21 +96,21 @@ void MemberGroups::close_count(Group& group, FrameType type, const std::string& 
   tell_counting(*counting, type, json);
 }
 
-void MemberGroups::open_count(const std::string& scene, std::int64_t step, Group& group) {
-  group.counting = std::make_shared<MemberCount>(coordinator_.context(), step, group.seats.size());
+void SeatGroups::open_count(const std::string& scene, std::int64_t step, Group& group) {
+  group.counting = std::make_shared<SeatCount>(coordinator_.context(), step, group.seats.size());
   asio::co_spawn(coordinator_.context(), watch_count(coordinator_.shared_from_this(), scene, group.counting),
                  asio::detached);
 }
 
-std::string MemberGroups::missing(const std::string& scene, const MemberCount& counting) const {
+std::string SeatGroups::missing(const std::string& scene, const SeatCount& counting) const {
   std::vector<std::size_t> missing;
   for (std::size_t seat = 0; seat < counting.waiting.size(); ++seat)
     if (!counting.tally.has(seat)) missing.push_back(seat);
   return names_of(scene, missing);
 }
 
-awaitable<void> MemberGroups::watch_count(std::shared_ptr<Coordinator> self, std::string scene,
-                                          std::shared_ptr<MemberCount> counting) {
+awaitable<void> SeatGroups::watch_count(std::shared_ptr<Coordinator> self, std::string scene,
+                                        std::shared_ptr<SeatCount> counting) {
   TimePoint notice_at = now() + duration_of(self->options().notice_seconds);
   while (!counting->over) {
     counting->timer.expires_at(std::min(notice_at, counting->end));

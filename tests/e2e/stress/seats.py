@@ -1,7 +1,7 @@
-"""Members of a parallel solver that join, push, die in the midst of a slice and come back."""
+"""Seats of a parallel solver that join, push, die in the midst of a slice and come back."""
 import numpy as np
 from actor import Actor
-from member_client import Member, owner
+from seat_client import Seat, owner
 from model import Model, Told, check_report, check_scene
 from protocol_client import Refused
 from push_client import WAYS
@@ -10,25 +10,25 @@ from pushers import UNTRUE
 TURNS = 25  # then another team
 
 
-class Members(Actor):
+class Seats(Actor):
     expects = "a step is everybody's or nobody's; who died comes back with a higher generation; the scene is the model's"
 
     def start(self):
         self.control = self.connect()
         self.drop_all(self.control)
         rng = self.rng
-        self.count_of_members, self.parts = int(rng.integers(1, 6)), int(rng.integers(1, 12))
+        self.count_of_seats, self.parts = int(rng.integers(1, 6)), int(rng.integers(1, 12))
         self.model = Model.random(rng, int(rng.choice([40, 900, 3000])), int(rng.integers(1, 4)), False, False)
         self.scene = self.create(self.control, parts=self.parts, dims=self.model.points.shape[1],
                                  tolerance=float(rng.choice([0.02, 0.1])))
         self.number, self.turns, self.told = 0, 0, Told()
-        n, count = len(self.model.ids), self.count_of_members
+        n, count = len(self.model.ids), self.count_of_seats
         self.held = np.array_split(np.arange(n), count)
         self.team = [self.join(k) for k in range(count)]
         self.push()
 
-    def join(self, member, **options):
-        return self.connect(Member, self.scene, member, self.count_of_members, **options)
+    def join(self, seat, **options):
+        return self.connect(Seat, self.scene, seat, self.count_of_seats, **options)
 
     def turn(self):
         self.turns += 1
@@ -65,7 +65,7 @@ class Members(Actor):
             refusals, answers = self.answers(self.team)
             if not refusals:
                 return self.take(answers)
-            self.expect(all(code in ("busy", "aborted") for code, _ in refusals), "a step of all members", refusals)
+            self.expect(all(code in ("busy", "aborted") for code, _ in refusals), "a step of all seats", refusals)
             self.count("busy")
         self.expect(False, "busy a hundred times", refusals)
 
@@ -82,23 +82,23 @@ class Members(Actor):
         self.count("steps")
         for answer, _ in answers:
             check_report(self, answer["report"], self.scene, self.number, len(self.model.ids))
-            self.expect(answer["report"] == answers[0][0]["report"], "reports of members", answers)
+            self.expect(answer["report"] == answers[0][0]["report"], "reports of seats", answers)
         self.told.take(*answers[0])
         if self.rng.integers(2):  # what has left is handed over, or not
-            owners = owner(self.told.tree.assign(self.model.points), self.parts, self.count_of_members)
-            self.held = [np.flatnonzero(owners == k) for k in range(self.count_of_members)]
+            owners = owner(self.told.tree.assign(self.model.points), self.parts, self.count_of_seats)
+            self.held = [np.flatnonzero(owners == k) for k in range(self.count_of_seats)]
 
     def die(self):
-        """A member dies, between two steps or in one, and comes back."""
-        victim = int(self.rng.integers(self.count_of_members))
+        """A seat dies, between two steps or in one, and comes back."""
+        victim = int(self.rng.integers(self.count_of_seats))
         one = self.team[victim]
-        generation = one.opened["membership"]["generation"]
+        generation = one.opened["seat"]["generation"]
         if self.rng.integers(2) and len(self.held[victim]):  # else its begin would be the whole of its push
             self.die_in_a_step(victim)
         one.close()
         self.count("deaths")
         self.team[victim] = self.join(victim)
-        now = self.team[victim].opened["membership"]["generation"]
+        now = self.team[victim].opened["seat"]["generation"]
         self.expect(now > generation, "generation", now, "after", generation)
 
     def die_in_a_step(self, victim):
@@ -113,22 +113,22 @@ class Members(Actor):
         self.begin_push(one, self.held[victim], way="gateway", cut=int(self.rng.integers(1, 25)))
         one.close()
         refusals, answers = self.answers(others)
-        self.expect(not answers, "a step without member", victim, answers[:1])
-        self.expect(all(code in ("aborted", "busy") for code, _ in refusals), "members of one that died", refusals)
+        self.expect(not answers, "a step without seat", victim, answers[:1])
+        self.expect(all(code in ("aborted", "busy") for code, _ in refusals), "seats of one that died", refusals)
         after = self.ask(self.control, "scene.show", scene=self.scene)[0]["step"]
         self.expect(before == after, "a step that was given up counts", before, after)
 
     def lie(self):
-        """One member's begin says one thing that isn't so. True if the step was committed all the same. The liar's
+        """One seat's begin says one thing that isn't so. True if the step was committed all the same. The liar's
         connections are of no use then: ranks wait for what it says of its slices."""
         before = self.ask(self.control, "scene.show", scene=self.scene)[0]["step"]
-        k = self.random.randrange(self.count_of_members)
-        for member, (one, ids) in enumerate(zip(self.team, self.held)):
+        k = self.random.randrange(self.count_of_seats)
+        for seat, (one, ids) in enumerate(zip(self.team, self.held)):
             try:
-                self.begin_push(one, ids, deadline_seconds=2 * self.world.patience, **(self.lie_of() if member == k else {}))
+                self.begin_push(one, ids, deadline_seconds=2 * self.world.patience, **(self.lie_of() if seat == k else {}))
                 one.rest()
             except TimeoutError:
-                self.expect(member == k, "a rank doesn't read what an honest member sends")
+                self.expect(seat == k, "a rank doesn't read what an honest seat sends")
         refusals, answers = self.answers(self.team)
         self.team[k].close()
         self.team[k] = self.join(k)
@@ -148,12 +148,12 @@ class Members(Actor):
         return dict([self.said])
 
     def take_seat(self):
-        """A member comes back before its older connection has ended."""
-        victim = int(self.rng.integers(self.count_of_members))
+        """A seat comes back before its older connection has ended."""
+        victim = int(self.rng.integers(self.count_of_seats))
         old = self.team[victim]
-        generation = old.opened["membership"]["generation"]
+        generation = old.opened["seat"]["generation"]
         new = self.join(victim, generation=generation + 1)
-        self.expect(new.opened["membership"]["generation"] == generation + 1, "generation", new.opened["membership"])
+        self.expect(new.opened["seat"]["generation"] == generation + 1, "generation", new.opened["seat"])
         old.close()
         self.team[victim] = new
         self.count("seats taken")

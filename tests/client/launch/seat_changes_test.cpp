@@ -1,4 +1,4 @@
-// Members of a parallel solver whose particles come and go, over a real service: by every way the scene is what the
+// Seats of a parallel solver whose particles come and go, over a real service: by every way the scene is what the
 // solver has.
 #include <algorithm>
 #include <array>
@@ -26,50 +26,50 @@ using Point = std::array<double, 3>;
 constexpr int kRebalanced = 6;      // after this step
 constexpr std::int64_t kAll = 600;  // particles at the start
 
-// Where all particles of the solver are. Its members hold disjoint sets of them.
+// Where all particles of the solver are. Its seats hold disjoint sets of them.
 struct Solver {
-  explicit Solver(int members, bool is_rebalanced = true) : all_have_read(members), rebalanced(is_rebalanced) {
+  explicit Solver(int seats, bool is_rebalanced = true) : all_have_read(seats), rebalanced(is_rebalanced) {
     Random random(7);
     for (std::int64_t id = 0; id < kAll; ++id) at[id] = {random.uniform(), random.uniform(), random.uniform()};
   }
   std::barrier<> all_have_read;  // what this step has done; then what is handed over
   bool rebalanced;               // at kRebalanced
   std::mutex mutex;
-  std::map<int, std::vector<std::int64_t>> handed_over;  // to each member
+  std::map<int, std::vector<std::int64_t>> handed_over;  // to each seat
   std::map<std::int64_t, int> keeper;                    // after the last step
   std::map<std::int64_t, Point> at;
   std::set<std::string> ways;
   std::vector<StepReport> reports;
 };
 
-class ChangingMember {
+class ChangingSeat {
  public:
-  ChangingMember(Solver& solver, int member, int members, Path path, const std::string& endpoint)
-      : solver_(solver), member_(member), members_(members), random_(static_cast<std::uint64_t>(100 + member)) {
+  ChangingSeat(Solver& solver, int seat, int seats, Path path, const std::string& endpoint)
+      : solver_(solver), seat_(seat), seats_(seats), random_(static_cast<std::uint64_t>(100 + seat)) {
     auto client = Client::connect({.endpoint = endpoint, .path = path});
     EXPECT_TRUE(client.ok()) << client.status().message();
     client_.emplace(std::move(*client));
   }
 
   void solve(int steps) {
-    auto scene = client_->open_scene("team", {.seat = member_, .seats = members_});
+    auto scene = client_->open_scene("team", {.seat = seat_, .seats = seats_});
     EXPECT_TRUE(scene.ok()) << scene.status().message();
     if (!scene.ok()) return solver_.all_have_read.arrive_and_drop();
     {
       const std::lock_guard lock(solver_.mutex);
       for (const auto& [id, at] : solver_.at)
-        if (id % members_ == member_) ids_.push_back(id);
+        if (id % seats_ == seat_) ids_.push_back(id);
     }
     for (int step = 0; step < steps && !::testing::Test::HasFatalFailure(); ++step) {
       solver_.all_have_read.arrive_and_wait();
       push(*scene, step);
-      if (step == kRebalanced && member_ == 0 && solver_.rebalanced) {
+      if (step == kRebalanced && seat_ == 0 && solver_.rebalanced) {
         EXPECT_TRUE(client_->call("rebalance", R"({"scene":"team","method":"bands-x"})").ok());
       }
     }
     {
       const std::lock_guard lock(solver_.mutex);
-      for (const std::int64_t id : ids_) solver_.keeper[id] = member_;
+      for (const std::int64_t id : ids_) solver_.keeper[id] = seat_;
     }
     solver_.all_have_read.arrive_and_drop();
   }
@@ -89,7 +89,7 @@ class ChangingMember {
       options.removed = removed.size();
       options.inserted = step == 0 ? 0 : random_.below(9);
       for (std::uint64_t k = 0; k < options.inserted; ++k) {
-        ids_.push_back(kAll + members_ * new_++ + member_);
+        ids_.push_back(kAll + seats_ * new_++ + seat_);
         solver_.at[ids_.back()] = {random_.uniform(), random_.uniform(), random_.uniform()};
       }
       for (const std::int64_t id : ids_) {
@@ -109,50 +109,50 @@ class ChangingMember {
     std::vector<std::pair<std::uint64_t, int>> leaving, told;
     for (const LeavingRow& one : done->leaving) told.emplace_back(one.row, one.to);
     for (std::size_t row = 0; row < ids_.size(); ++row) {
-      const int to = cuts::seat_of_part(done->parts[row], done->report.parts, members_);
-      if (to != member_) leaving.emplace_back(row, to);
-      if (to == member_) stay.push_back(ids_[row]);
+      const int to = cuts::seat_of_part(done->parts[row], done->report.parts, seats_);
+      if (to != seat_) leaving.emplace_back(row, to);
+      if (to == seat_) stay.push_back(ids_[row]);
     }
     EXPECT_EQ(told, leaving);
     {
       const std::lock_guard lock(solver_.mutex);
       solver_.ways.insert(done->report.way);
-      if (member_ == 0) solver_.reports.push_back(done->report);
+      if (seat_ == 0) solver_.reports.push_back(done->report);
       for (const LeavingRow& one : done->leaving) solver_.handed_over[one.to].push_back(ids_[one.row]);
     }
     solver_.all_have_read.arrive_and_wait();
     const std::lock_guard lock(solver_.mutex);
     ids_ = std::move(stay);
-    for (const std::int64_t id : std::exchange(solver_.handed_over[member_], {})) ids_.push_back(id);
+    for (const std::int64_t id : std::exchange(solver_.handed_over[seat_], {})) ids_.push_back(id);
     std::ranges::sort(ids_);  // whoever was faster
   }
 
   Solver& solver_;
-  int member_;
-  int members_;
+  int seat_;
+  int seats_;
   Random random_;
   std::optional<Client> client_;
   std::vector<std::int64_t> ids_;
   std::int64_t new_ = 0;  // particles that it has made
 };
 
-void solve(Solver& solver, int members, Path path, const std::string& endpoint) {
+void solve(Solver& solver, int seats, Path path, const std::string& endpoint) {
   std::vector<std::thread> threads;
-  for (int k = 0; k < members; ++k)
-    threads.emplace_back([&, k] { ChangingMember(solver, k, members, path, endpoint).solve(14); });
+  for (int k = 0; k < seats; ++k)
+    threads.emplace_back([&, k] { ChangingSeat(solver, k, seats, path, endpoint).solve(14); });
   for (std::thread& one : threads) one.join();
 }
 
-TEST(ChangingMembers, TheSceneIsWhatTheyHave) {
+TEST(ChangingSeats, TheSceneIsWhatTheyHave) {
   auto service = launch::Embedded::start(3, [](double) {});
   ASSERT_TRUE(service.ok()) << service.status().message();
   auto control = Client::connect({.endpoint = service->endpoint()});
   ASSERT_TRUE(control.ok());
   for (const Path path : {Path::gateway, Path::direct, Path::shared})
-    for (const int members : {1, 3, 4}) {
+    for (const int seats : {1, 3, 4}) {
       ASSERT_TRUE(control->create_scene("team", {.parts = 6, .tolerance = 0.2, .replace = true}).ok());
-      Solver solver(members);
-      solve(solver, members, path, service->endpoint());
+      Solver solver(seats);
+      solve(solver, seats, path, service->endpoint());
       const auto held = control->call("fetch", "{\"scene\":\"team\"}");
       ASSERT_TRUE(held.ok()) << held.status().message();
       const auto id = held->find("id")->i8();
@@ -167,25 +167,25 @@ TEST(ChangingMembers, TheSceneIsWhatTheyHave) {
       ASSERT_TRUE(assigned.ok()) << assigned.status().message();
       ASSERT_EQ(solver.keeper.size(), solver.at.size());
       for (std::size_t k = 0; k < id.size(); ++k)
-        EXPECT_EQ(solver.keeper[id[k]], cuts::seat_of_part(assigned->find("part")->i4()[k], 6, members)) << id[k];
+        EXPECT_EQ(solver.keeper[id[k]], cuts::seat_of_part(assigned->find("part")->i4()[k], 6, seats)) << id[k];
       const char* way = path == Path::gateway ? "endpoint" : path == Path::direct ? "sockets" : "shared-memory";
       EXPECT_EQ(solver.ways, std::set<std::string>{way});
     }
 }
 
 // What comes and goes in a step needs no positions, and leaves the history that it leaves with them.
-TEST(ChangingMembers, AreCountedLikeThoseThatStay) {
+TEST(ChangingSeats, AreCountedLikeThoseThatStay) {
   auto service = launch::Embedded::start(3, [](double) {});
   ASSERT_TRUE(service.ok()) << service.status().message();
   auto control = Client::connect({.endpoint = service->endpoint()});
   ASSERT_TRUE(control.ok());
-  for (const int members : {1, 4}) {
-    SCOPED_TRACE(members);
-    Solver sent(members, false), counted(members, false);
+  for (const int seats : {1, 4}) {
+    SCOPED_TRACE(seats);
+    Solver sent(seats, false), counted(seats, false);
     for (const auto& [positions, solver] : {std::pair{"every-step", &sent}, {"when-needed", &counted}}) {
       ASSERT_TRUE(
           control->create_scene("team", {.parts = 6, .tolerance = 0.2, .positions = positions, .replace = true}).ok());
-      solve(*solver, members, Path::automatic, service->endpoint());
+      solve(*solver, seats, Path::automatic, service->endpoint());
     }
     EXPECT_EQ(sent.at, counted.at);
     EXPECT_EQ(sent.keeper, counted.keeper);

@@ -1,12 +1,12 @@
-"""Members of a parallel solver, from PROTOCOL.md alone."""
+"""Seats of a parallel solver, from PROTOCOL.md alone."""
 import numpy as np
 from protocol_client import described
 from push_client import Block, PushClient
 
 
-def owner(parts, count, members):
-    """The member of each part."""
-    of_part = np.concatenate([np.full((k + 1) * count // members - k * count // members, k) for k in range(members)])
+def owner(parts, count, seats):
+    """The seat of each part."""
+    of_part = np.concatenate([np.full((k + 1) * count // seats - k * count // seats, k) for k in range(seats)])
     return of_part[parts]
 
 
@@ -18,13 +18,13 @@ def mixed(ids):
     return v ^ v >> np.uint64(31)
 
 
-class Member(PushClient):
-    """Member k of M. What it has is said by ids, which are the rows of all positions."""
+class Seat(PushClient):
+    """Seat k of M. What it has is said by ids, which are the rows of all positions."""
 
-    def __init__(self, path, scene, member, members, generation=None, **kwargs):
+    def __init__(self, path, scene, seat, seats, generation=None, **kwargs):
         super().__init__(path, **kwargs)
-        self.scene, self.member, self.members = scene, member, members
-        self.opened = self.ask("scene.open", scene=scene, member=member, members=members, generation=generation)[0]
+        self.scene, self.seat, self.seats = scene, seat, seats
+        self.opened = self.ask("scene.open", scene=scene, seat=seat, seats=seats, generation=generation)[0]
 
     def begin(self, number, rows, points, cut=None, **more):
         """Of the push all but the last `cut` bytes; None: the begin alone."""

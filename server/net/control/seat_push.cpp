@@ -1,4 +1,4 @@
-// MemberGroups, part 2: a step of all members, from the first push.begin to the last answer.
+// SeatGroups, part 2: a step of all seats, from the first push.begin to the last answer.
 #include <algorithm>
 #include <utility>
 
@@ -7,8 +7,8 @@
 
 #include "common/wire/limits.hpp"
 #include "server/api/ledger_answers.hpp"
-#include "server/net/control/members.hpp"
 #include "server/net/control/push_order.hpp"
+#include "server/net/control/seats.hpp"
 
 namespace rcb::net {
 
@@ -25,20 +25,20 @@ void tell_pushing(const std::vector<std::shared_ptr<OpenPush>>& contributions, F
 
 }  // namespace
 
-Status MemberGroups::begin(ContributionBegin begin) {
+Status SeatGroups::begin(ContributionBegin begin) {
   const std::string& scene = begin.id.scene;
   Group* group = find(scene);
   // While this push.begin waited for its turn, another generation may have taken the seat, or the scene was dropped.
-  const auto seat = group == nullptr ? std::nullopt : seat_of(*group, begin.connection.get());
-  if (!seat)
-    return {Code::aborted, fmt::format("another generation of this member has opened scene '{}'", scene),
+  const auto taken = group == nullptr ? std::nullopt : seat_of(*group, begin.connection.get());
+  if (!taken)
+    return {Code::aborted, fmt::format("another generation of this seat has opened scene '{}'", scene),
             "open the scene again with a higher generation"};
-  const std::size_t member = *seat;
+  const std::size_t seat = *taken;
   const scene::Ledger* ledger = coordinator_.scenes().find(scene);
   if (ledger == nullptr) return coordinator_.unknown_scene(scene);
   if (ledger->was_in_last(begin.id.session, begin.id.step)) {
     if (may_bring_slices(begin.json)) coordinator_.refuse_directly(begin.id);
-    begin.connection->send_text(FrameType::reply, begin.request, api::repeated_to_member(*ledger));
+    begin.connection->send_text(FrameType::reply, begin.request, api::repeated_to_seat(*ledger));
     return {};
   }
   const ControlOptions& options = coordinator_.options();
@@ -46,20 +46,20 @@ Status MemberGroups::begin(ContributionBegin begin) {
       read_push_terms(begin.json, begin.id, ledger->now(), options.ranks, options.bulk_bytes_max, group->seats.size());
   if (!terms.ok()) return terms.status();
   const auto open = coordinator_.gate(scene).push;
-  std::shared_ptr<MemberPush> step = open ? open->round : nullptr;
+  std::shared_ptr<SeatPush> step = open ? open->round : nullptr;
   if (step && step->step != begin.id.step)
     return {Code::invalid_argument,
-            fmt::format("member {} pushes step {}, the others push step {}", member, begin.id.step, step->step),
-            "all members push the same step"};
-  const auto older = step ? step->contributions[member] : nullptr;
+            fmt::format("seat {} pushes step {}, the others push step {}", seat, begin.id.step, step->step),
+            "all seats push the same step"};
+  const auto older = step ? step->contributions[seat] : nullptr;
   if (older) {
     const PushId& id = older->slices.terms().id;
     if (id.session != begin.id.session || id.attempt >= begin.id.attempt)
-      return {Code::busy, fmt::format("member {} is pushing step {} already", member, step->step), "finish it first"};
+      return {Code::busy, fmt::format("seat {} is pushing step {} already", seat, step->step), "finish it first"};
     withdraw(*older);
   }
   if (!step) step = open_step(scene, begin.id.step, *group);
-  answer_count(*group, wire::dump_json({{"send", fmt::format("{} pushes this step", name(scene, member))}}));
+  answer_count(*group, wire::dump_json({{"send", fmt::format("{} pushes this step", name(scene, seat))}}));
   auto contribution = std::make_shared<OpenPush>(coordinator_.context(), std::move(*terms));
   contribution->connection = std::move(begin.connection);
   contribution->client = std::move(begin.client);
@@ -67,11 +67,11 @@ Status MemberGroups::begin(ContributionBegin begin) {
   contribution->begin = std::move(begin.json);
   contribution->held = std::move(begin.held);
   contribution->round = step;
-  contribution->member = static_cast<int>(member);
+  contribution->seat = static_cast<int>(seat);
   contribution->end = begin.end;
-  step->contributions[member] = contribution;
+  step->contributions[seat] = contribution;
   if (!older) ++step->begun;
-  step->ready = std::min(step->ready, member);
+  step->ready = std::min(step->ready, seat);
   TimePoint end = std::min(step->end, begin.end);
   if (older) {  // its end counts no more
     end = TimePoint::max();
@@ -89,7 +89,7 @@ Status MemberGroups::begin(ContributionBegin begin) {
   return {};
 }
 
-void MemberGroups::withdraw(OpenPush& contribution) {
+void SeatGroups::withdraw(OpenPush& contribution) {
   contribution.given_up = true;
   coordinator_.give_back(contribution);
   const PushTerms& terms = contribution.slices.terms();
@@ -98,7 +98,7 @@ void MemberGroups::withdraw(OpenPush& contribution) {
                                 wire::failure_json({Code::aborted, "a newer attempt of the same session replaced it"}));
 }
 
-Status MemberGroups::check_together(const MemberPush& step) const {
+Status SeatGroups::check_together(const SeatPush& step) const {
   if (step.begun < step.contributions.size()) return {};
   std::uint64_t n = 0, inserted = 0, removed = 0, bytes = 0;
   const OpenPush* with_rows = nullptr;
@@ -110,27 +110,27 @@ Status MemberGroups::check_together(const MemberPush& step) const {
     bytes += terms.bytes();
     if (terms.n == 0) continue;
     if (with_rows != nullptr && with_rows->slices.terms().weights != terms.weights)
-      return {Code::invalid_argument,
-              fmt::format("{} and {} don't both push weights",
-                          name(step.scene, static_cast<std::size_t>(with_rows->member)),
-                          name(step.scene, static_cast<std::size_t>(contribution->member))),
-              "all members push weights, or none does"};
+      return {
+          Code::invalid_argument,
+          fmt::format("{} and {} don't both push weights", name(step.scene, static_cast<std::size_t>(with_rows->seat)),
+                      name(step.scene, static_cast<std::size_t>(contribution->seat))),
+          "all seats push weights, or none does"};
     with_rows = contribution.get();
   }
   if (const std::uint64_t most = coordinator_.options().bulk_bytes_max; bytes > most)
-    return {Code::too_large, fmt::format("the members push {} bytes together, at most {} are taken", bytes, most),
+    return {Code::too_large, fmt::format("the seats push {} bytes together, at most {} are taken", bytes, most),
             "start the service with a larger --bulk-bytes, or on a larger machine"};
   const scene::SceneState& scene = coordinator_.scenes().find(step.scene)->now();
   return scene.step ? scene::check_conserved(step.scene, scene.n, n, inserted, removed) : Status();
 }
 
-std::shared_ptr<MemberPush> MemberGroups::open_step(const std::string& scene, std::int64_t step, const Group& group) {
+std::shared_ptr<SeatPush> SeatGroups::open_step(const std::string& scene, std::int64_t step, const Group& group) {
   PushTerms none;
   none.id.scene = scene;
   none.id.step = step;
   const auto front =
-      coordinator_.open_push(std::move(none), nullptr, "the members of the scene", wire::kDeadlineSecondsMax);
-  auto round = std::make_shared<MemberPush>(coordinator_.context(), scene, step);
+      coordinator_.open_push(std::move(none), nullptr, "the seats of the scene", wire::kDeadlineSecondsMax);
+  auto round = std::make_shared<SeatPush>(coordinator_.context(), scene, step);
   round->contributions.resize(group.seats.size());
   round->front = front;
   front->round = round;
@@ -138,12 +138,12 @@ std::shared_ptr<MemberPush> MemberGroups::open_step(const std::string& scene, st
   return round;
 }
 
-void MemberGroups::contribution_whole(const std::shared_ptr<OpenPush>& contribution) {
+void SeatGroups::contribution_whole(const std::shared_ptr<OpenPush>& contribution) {
   const auto step = contribution->round;
   if (step->all_ready()) order(step);
 }
 
-void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
+void SeatGroups::order(const std::shared_ptr<SeatPush>& step) {
   auto [request, options] =
       order_of(step->contributions, step->contributions.size(), *coordinator_.scenes().find(step->scene));
   options.received_seconds = seconds_since(step->started);
@@ -161,12 +161,12 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   answered(step, api::failed(pending.status()));
 }
 
-void MemberGroups::answered(const std::shared_ptr<MemberPush>& step, Answer answer) {
+void SeatGroups::answered(const std::shared_ptr<SeatPush>& step, Answer answer) {
   const auto contributions = std::exchange(step->contributions, {});
   const bool told = std::exchange(step->over, true);
   step->timer.cancel();
   if (!answer.status.ok())
-    spdlog::info("step {} of scene '{}' by {} members: {}: {}", step->step, step->scene, contributions.size(),
+    spdlog::info("step {} of scene '{}' by {} seats: {}: {}", step->step, step->scene, contributions.size(),
                  code_name(answer.status.code()), answer.status.message());
   if (told) return;
   if (!answer.status.ok()) return tell_pushing(contributions, FrameType::failure, wire::failure_json(answer.status));
@@ -183,13 +183,13 @@ void MemberGroups::answered(const std::shared_ptr<MemberPush>& step, Answer answ
       one->connection->send_text(FrameType::reply, one->request, text);
 }
 
-void MemberGroups::abort(const std::shared_ptr<MemberPush>& step, const OpenPush* contribution, const Status& why) {
+void SeatGroups::abort(const std::shared_ptr<SeatPush>& step, const OpenPush* contribution, const Status& why) {
   if (step->ordered || step->over) return;
   const auto front = step->front.lock();
   const std::string who =
-      contribution != nullptr ? name(step->scene, static_cast<std::size_t>(contribution->member)) + ": " : "";
+      contribution != nullptr ? name(step->scene, static_cast<std::size_t>(contribution->seat)) + ": " : "";
   const Status named(why.code(), who + why.message(), why.hint());
-  spdlog::info("step {} of scene '{}' by {} members given up: {}", step->step, step->scene, step->contributions.size(),
+  spdlog::info("step {} of scene '{}' by {} seats given up: {}", step->step, step->scene, step->contributions.size(),
                named.message());
   step->over = true;
   step->timer.cancel();
@@ -206,7 +206,7 @@ void MemberGroups::abort(const std::shared_ptr<MemberPush>& step, const OpenPush
   coordinator_.erase_gate_if_unused(step->scene);
 }
 
-awaitable<void> MemberGroups::watch(std::shared_ptr<Coordinator> self, std::shared_ptr<MemberPush> step) {
+awaitable<void> SeatGroups::watch(std::shared_ptr<Coordinator> self, std::shared_ptr<SeatPush> step) {
   const auto between = duration_of(self->options().notice_seconds);
   while (!step->over) {
     const TimePoint next = now() + between;
