@@ -173,7 +173,7 @@ class Outlive(unittest.TestCase):
                 self.assertEqual((report["n"], report["drifted"], report["epoch"], report["error_before"]),
                                  (80, None, first["epoch"], first["error"]))
                 self.assertEqual(client.ask("scene.show", scene="r")[0]["hash"], hash_before)
-                self.assertEqual(client.ask("fetch", scene="r")[0]["step"], step)
+                self.assertEqual(client.ask("fetch", scene="r")[0]["positions_step"], step)
 
     def solver(self, *command):
         return subprocess.Popen([*map(str, command), "--endpoint", self.service.endpoint], stdin=subprocess.DEVNULL,
