@@ -171,7 +171,7 @@ class Commands(Refusals, ServiceTest):
             client.ask("scene.create", scene="compared", parts=5, part_sizes=sizes, cut_tolerance=1, replace=True)
             client.push("compared", 0, self.points)
             unweighted = client.ask("compare", scene="compared", methods=["rcb"])[0]["methods"][0]
-        self.assertEqual(table.keys(), {"scene", "n", "parts", "ghost_width", "methods"})
+        self.assertEqual(table.keys(), {"scene", "n", "parts", "ghost_width", "methods", "positions_step"})
         self.assertEqual(unweighted["counts"], judge.quotas(400, 5, sizes), "exact, whatever the scene's cut tolerance")
         targets = weights.sum() * np.array(sizes) / sum(sizes)
         blocks = np.repeat(np.arange(5), judge.quotas(400, 5, sizes))

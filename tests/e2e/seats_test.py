@@ -166,7 +166,7 @@ class Seats(unittest.TestCase):
         self.assertEqual(opened[7][0]["seat"], {"seat": 7, "seats": SEATS, "generation": 1})
         shown = control.ask("scene.show", scene="many")[0]
         self.assertEqual(shown["holders_count"], SEATS)
-        self.assertEqual(shown["seats"], sorted(f"process {k}" for k in solver.seats)[:8])
+        self.assertEqual(shown["holders"], sorted(f"process {k}" for k in solver.seats)[:8])
         self.assertIn("1016 more", service.failure("scene", "drop", "many")["message"])
 
         first = crowd.ask(solver.pushes(0, cuts_known={}))
