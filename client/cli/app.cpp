@@ -41,6 +41,12 @@ void add_deadline(CLI::App& command, double& seconds) {
   add_value(command, "--deadline", seconds, kind::deadline(), kDeadlineHelp)->capture_default_str();
 }
 
+void add_held(CLI::App& command, bool& held) {
+  command.add_flag("--held", held,
+                   "of the positions that the ranks hold, however old, rather than wait for the solver's next step "
+                   "(scenes with --positions when-needed)");
+}
+
 Status check_endpoint(const Context& context) {
   if (context.endpoint.empty()) return {};
   if (context.endpoint.starts_with(client::kFilePrefix)) return {};  // the file is read when it is needed

@@ -78,6 +78,9 @@ void add_scene_options(CLI::App& command, client::SceneOptions& scene);
 // Adds --deadline, for a command that may take long.
 void add_deadline(CLI::App& command, double& seconds);
 
+// Adds --held, for a question about positions.
+void add_held(CLI::App& command, bool& held);
+
 // One function for each family of commands.
 void add_service_commands(CLI::App& app, Context& context);    // up, down
 void add_status_command(CLI::App& app, Context& context);      // status

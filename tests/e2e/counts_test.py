@@ -1,4 +1,5 @@
 """Scenes whose positions travel when needed: a step is a count, and the history is that of a scene that is sent them all."""
+from protocol_client import Client
 from support import *
 
 # What a step with its positions and a step without them tell alike.
@@ -50,6 +51,22 @@ class Counts(ServiceTest):
         shown = self.service.json("scene", "show", "when-needed")
         self.assertEqual((shown["positions"], shown["step"]), ("when-needed", 200))
         self.assertEqual(shown["positions_step"], self.runs["when-needed"]["reports"][-1]["positions_step"])
+
+    def test_a_question_takes_what_the_ranks_hold(self):
+        """A solver that has the scene open, but makes no step, lets it wait."""
+        held = self.runs["when-needed"]["reports"][-1]["positions_step"]
+        self.assertLess(held, 200)
+        out = os.path.join(self.dir, "held")
+        with Client(self.service.endpoint) as solver:
+            solver.ask("scene.open", scene="when-needed")
+            for question in (["quality"], ["halo", "--width", 0.05], ["assign", "--out", out + ".npy"],
+                             ["export", out], ["rebalance", "--dry-run"]):
+                ask = [question[0], "when-needed", *question[1:]]
+                waited = self.service.failure(*ask, "--deadline", 0.5)
+                self.assertEqual((waited["code"], waited["exit"]), ("deadline_exceeded", 5), question)
+                self.assertIn("--held", waited["hint"], question)
+                told = self.service.json(*ask, "--held")
+                self.assertEqual(told.get("positions_step", told.get("step")), held, question)
 
     def test_a_replay_counts_too(self):
         table = os.path.join(self.dir, "replayed.csv")

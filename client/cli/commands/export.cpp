@@ -24,6 +24,7 @@ struct ExportOptions {
   std::string directory;
   std::vector<std::string> formats{"csv"};
   bool replace = false;
+  bool held = false;
   double deadline_seconds = kQuestionSeconds;
 };
 
@@ -123,7 +124,8 @@ Result<Exported> fetch_scene(client::Client& client, const ExportOptions& option
     if (!shown) return shown.status();
     auto left = LeftoverFiles::find(options.directory, file_names(options, *shown), options.replace);
     if (!left) return left.status();
-    auto answer = ask_arrays(client, "fetch", {{"scene", options.name}}, options.deadline_seconds);
+    auto answer =
+        ask_arrays(client, "fetch", {{"scene", options.name}, {"held", options.held}}, options.deadline_seconds);
     if (!answer) return answer.status();
     if (answer->json.at("epoch") == shown->at("epoch"))
       return Exported{std::move(*shown), std::move(*answer), std::move(*left)};
@@ -173,6 +175,7 @@ void add_export_command(CLI::App& app, Context& context) {
            "commas between")
       ->default_str("csv");
   add_deadline(command, options.deadline_seconds);
+  add_held(command, options.held);
   command.add_flag("--replace", options.replace,
                    "remove the files of other parts from DIR, and overwrite arrays that no export wrote");
 }

@@ -26,6 +26,7 @@ constexpr std::size_t kTextBytes = std::size_t{1} << 20U;
 constexpr std::size_t kRowsAtOnce = 1000;
 
 struct HaloOptions : NearOptions {
+  bool held = false;
   std::string out;
 };
 
@@ -209,6 +210,7 @@ Status halo(const HaloOptions& options, const Context& context) {
   if (!client) return client.status();
   Json request = *arguments;
   request["lists"] = !options.out.empty();
+  request["held"] = options.held;
   const auto answer = ask_arrays(*client, "halo", request, options.deadline_seconds);
   if (!answer) return answer.status();
   const auto pairs = pairs_in(*answer);
@@ -318,6 +320,7 @@ void add_halo_commands(CLI::App& app, Context& context) {
        "  rcbctl halo jet --width 0.05\n  rcbctl halo jet --width 0.05 --periodic 0 0 - 1 1 - --out halos", kAskGroup},
       halo);
   add_near_options(halos, asked);
+  add_held(halos, asked.held);
   add_value(halos, "--out", asked.out, kind::text("DIR"),
             "write what part P sends to DIR/halo_P.csv: id, to which part, moved by how many periods; made if missing");
   auto [near, distance] = add_command(

@@ -16,6 +16,7 @@ struct ReadOptions {
   std::string name;
   bool all = false;
   std::optional<double> ghost_width;
+  bool held = false;
   double deadline_seconds = kQuestionSeconds;
 };
 
@@ -114,6 +115,7 @@ CLI::App* add_read(CLI::App& app, Context& context, const CommandText& text, std
     auto client = connect(context);
     if (!client) return client.status();
     Json arguments{{"scene", options->name}};
+    if (options->held) arguments["held"] = true;
     if (options->ghost_width) arguments["ghost_width"] = *options->ghost_width;
     auto reply = ask(*client, name, arguments, options->deadline_seconds);
     if (!reply) return reply.status();
@@ -147,6 +149,7 @@ void add_read_commands(CLI::App& app, Context& context) {
                                options, print_quality);
   add_value(*quality, "--ghost-width", options->ghost_width, kind::number_from_zero("H"), kGhostWidthHelp);
   add_deadline(*quality, options->deadline_seconds);
+  add_held(*quality, options->held);
   quality->add_flag("--all", options->all, kAllHelp);
 }
 

@@ -15,6 +15,7 @@ struct RebalanceOptions {
   std::optional<double> tolerance;
   bool dry_run = false;
   bool force = false;
+  bool held = false;
   double deadline_seconds = kQuestionSeconds;
 };
 
@@ -39,7 +40,8 @@ void print(const Json& reply, bool dry_run) {
 }
 
 Status rebalance(const RebalanceOptions& options, const Context& context) {
-  Json arguments{{"scene", options.name}, {"dry_run", options.dry_run}, {"force", options.force}};
+  Json arguments{
+      {"scene", options.name}, {"dry_run", options.dry_run}, {"force", options.force}, {"held", options.held}};
   if (options.method) arguments["method"] = *options.method;
   if (options.parts) arguments["parts"] = *options.parts;
   if (options.tolerance) arguments["tolerance"] = tolerance_json(*options.tolerance);
@@ -62,6 +64,7 @@ void add_rebalance_command(CLI::App& app, Context& context) {
   add_value(command, "--tolerance", options.tolerance, kind::tolerance(), kToleranceHelp);
   command.add_flag("--force", options.force, "change the number of parts even under those who have the scene open");
   add_deadline(command, options.deadline_seconds);
+  add_held(command, options.held);
   command.add_flag("--dry-run", options.dry_run, "tell error, points to move and quality; change nothing");
 }
 

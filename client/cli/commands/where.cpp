@@ -31,6 +31,7 @@ struct AssignOptions {
   std::string name;
   std::string out;
   FileOptions rows;
+  bool held = false;
   double deadline_seconds = kQuestionSeconds;
 };
 
@@ -111,7 +112,8 @@ Status assign(const AssignOptions& options, const Context& context) {
   if (!client) return client.status();
   const auto shown = ask(*client, "scene.show", {{"scene", options.name}}, options.deadline_seconds);
   if (!shown) return shown.status();
-  auto answer = ask_arrays(*client, "assign", {{"scene", options.name}, {"checksum", true}}, options.deadline_seconds);
+  auto answer = ask_arrays(*client, "assign", {{"scene", options.name}, {"checksum", true}, {"held", options.held}},
+                           options.deadline_seconds);
   if (!answer) return answer.status();
   const Ids ids = shown->at("ids").get<bool>() ? Ids::own : Ids::rows;
   if (Status status = write_assignment(options, ids, answer->reply); !status) return status;
@@ -168,6 +170,7 @@ void add_where_commands(CLI::App& app, Context& context) {
       ->required();
   add_file_options(assigns, array.rows)->required(false)->description("whose rows are meant, by their ids");
   add_deadline(assigns, array.deadline_seconds);
+  add_held(assigns, array.held);
 }
 
 }  // namespace rcb::cli
