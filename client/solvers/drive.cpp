@@ -265,9 +265,7 @@ void add_positions_option(CLI::App& app, std::string& positions) {
 }
 
 void add_outlive_option(CLI::App& app, bool& outlive) {
-  app.add_flag(
-      "!--no-outlive", outlive,
-      "end when the service has gone; else a push waits for it until its deadline, and makes a lost scene anew");
+  app.add_flag("!--no-outlive", outlive, "end when the service has gone; else a step waits for it until its deadline");
 }
 
 void say_notice(const std::string& program, const std::string& text) {

@@ -77,9 +77,10 @@ void add_options(CLI::App& app, Config& config) {
          "that reaches rank 0]")
       ->envname("RCBD_INTERFACE")
       ->type_name("NAME");
-  app.add_option("--data-dir", config.data_dir,
-                 "directory for lock, token, older step reports and the note that it was told to end [default: one for "
-                 "each endpoint, below $XDG_STATE_HOME/rcbd, else ~/.local/state/rcbd]")
+  app.add_option(
+         "--data-dir", config.data_dir,
+         "directory for lock, token, what lasts of the scenes and the note that it was told to end [default: one for "
+         "each endpoint, below $XDG_STATE_HOME/rcbd, else ~/.local/state/rcbd]")
       ->envname("RCBD_DATA_DIR")
       ->type_name("DIR");
   add_file_options(app, config);
@@ -126,7 +127,7 @@ void add_options(CLI::App& app, Config& config) {
             return parsed.ok() ? std::string() : parsed.status().message() + "; " + parsed.status().hint();
           },
           "LIST"));
-  app.add_flag("--restarted", config.restarted, "says in the status that scenes of an earlier run may have been lost")
+  app.add_flag("--restarted", config.restarted, "says in the status that a service before this one has died")
       ->envname("RCBD_RESTARTED");
 }
 

@@ -86,6 +86,8 @@ class ProcessLimits(unittest.TestCase, Refusals):
                     except Refused as refused:
                         self.assertEqual(refused.args[0], "too_large")
                         break
+                    except EOFError:
+                        self.fail(f"step {step} ended the service: {text_of(service.data, 'rcbd.log')}")
                 else:
                     self.fail("there was memory for all")
                 self.assertEqual(client.ask("scene.show", scene="s")[0], before)
