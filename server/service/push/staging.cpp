@@ -20,9 +20,12 @@ namespace {
 // must be room for the most that a rank may get of either before it is known whether it is needed. Local.
 Status room_for_step(const comm::Comm& comm, const Scene& scene, const Staged& staged, std::uint64_t mine) {
   const std::uint64_t mean = staged.n / static_cast<std::uint64_t>(comm.size());
-  // A search among all particles begins by freeing the memory that the commit swaps out.
-  const std::uint64_t freed = mine * static_cast<std::uint64_t>(scene.options.dims) * sizeof(double);
-  return room_to_partition(comm, std::max(mine, mean), scene.options.parts, scene.epoch > 0 ? freed : 0);
+  // A search among all particles begins by freeing the memory that the commit swaps out; but until then rows take
+  // parts, and those that leave are listed, in a vector that grows.
+  constexpr std::uint64_t kBytesOfRow = sizeof(std::int32_t) + 2 * sizeof(std::uint64_t);
+  const std::uint64_t freed = scene.particles.count() * static_cast<std::uint64_t>(scene.options.dims) * sizeof(double);
+  return room_to_partition(comm, std::max(mine, mean), scene.options.parts,
+                           freed - std::min(freed, mine * kBytesOfRow));
 }
 
 // Where drift alone brings a rank more than that.
