@@ -369,6 +369,8 @@ TEST_F(Blocks, WhatDoesNotFitTheSceneIsRefusedAlone) {
   EXPECT_EQ(plane_.dropped.size(), 9U);  // the other seat's is not among them
   EXPECT_EQ(plane_.opened.size(), 1U);
   EXPECT_EQ(pushed(), 0U);
+  direct(0, {4, 0, 2});  // what doesn't fit the others' blocks ends the step for all
+  for (int k = 0; k < 2; ++k) refused(k, "not_conserved", "11 particles");
 }
 
 TEST_F(Blocks, AShareThatARankLosesEndsTheStepForAll) {
