@@ -5,7 +5,6 @@
 #include <utility>
 
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 #include <spdlog/spdlog.h>
 
 #include "server/api/commands.hpp"
@@ -319,7 +318,7 @@ awaitable<void> Session::open_scene(Request& request) {
   if (claim.ok() && *claim) {
     auto joined = coordinator_->groups().join(*scene, **claim, connection_.get(), client_);
     if (joined.ok())
-      request.json["seat"] = claim_json(*joined);
+      request.seat = *joined;
     else
       claim = joined.status();
   }
@@ -385,7 +384,7 @@ void Session::reply(const Request& request, Answer answer) {
     const Holders holders = coordinator_->holders(request.json.value("scene", ""));
     answer.json.update({{"holders", holders.first}, {"holders_count", holders.count}});
   }
-  if (request.command == "scene.open" && request.json.contains("seat")) answer.json["seat"] = request.json["seat"];
+  if (request.seat) answer.json["seat"] = claim_json(*request.seat);
   std::shared_ptr<void> held;
   if (request.info->reads()) {  // the answer to a change is always sent, whatever its size
     std::uint64_t bytes = 0;

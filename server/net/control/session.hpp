@@ -79,6 +79,7 @@ class Session : public std::enable_shared_from_this<Session> {
     std::shared_ptr<std::atomic<bool>> cancelled = std::make_shared<std::atomic<bool>>(false);
     std::vector<wire::Array> arrays = {};  // of a count
     std::uint64_t bytes = 0;               // of its frame
+    std::optional<SeatClaim> seat = {};    // that a scene.open has taken
   };
 
   awaitable<Status> hello();
