@@ -36,4 +36,6 @@ std::string escape_controls(std::string_view text, std::string_view kept) {
   return out;
 }
 
+std::string and_more(std::size_t more) { return more == 0 ? "" : fmt::format(" and {} more", more); }
+
 }  // namespace rcb

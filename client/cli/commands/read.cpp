@@ -84,7 +84,7 @@ Status print_stats(client::Client& client, const ReadOptions& options, const Jso
                                 text_of(reply, "searched"), text_of(reply, "rounds"), text_of(reply, "reductions")));
   facts.add("skipped", tally_text(reply.at("skipped")));
   facts.add("asked", tally_text(reply.at("asked")));
-  facts.add("open by", text_of(*shown, "holders"));
+  facts.add("open by", holders_text(*shown));
   facts.add("memory", memory_text(*status));
   facts.add("log", text_of(*status, "log"));
   facts.print();

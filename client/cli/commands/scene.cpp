@@ -34,9 +34,9 @@ void print_scene(const Json& scene) {
                                                                   {"epoch", "epoch"},
                                                                   {"error", "error"},
                                                                   {"imbalance", "imbalance"},
-                                                                  {"hash", "hash"},
-                                                                  {"holders", "open by"}})
+                                                                  {"hash", "hash"}})
     if (scene.contains(field)) facts.add(title, text_of(scene, field));
+  facts.add("open by", holders_text(scene));
   facts.print();
 }
 

@@ -87,13 +87,6 @@ std::string step_milliseconds(const Json& scene) {
   return seconds.is_number() ? milliseconds(seconds.get<double>()) : "-";
 }
 
-// The service names a few of many.
-std::string holders_text(const Json& scene) {
-  const std::size_t named = scene.value("holders", Json::array()).size();
-  const std::size_t all = scene.value("holders_count", named);
-  return text_of(scene, "holders") + (all > named ? fmt::format(" and {} more", all - named) : "");
-}
-
 }  // namespace
 
 void print_scenes(const Json& scenes) {

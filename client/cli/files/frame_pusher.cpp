@@ -5,7 +5,8 @@
 #include <numeric>
 
 #include <fmt/format.h>
-#include <fmt/ranges.h>
+
+#include "client/cli/print/output.hpp"
 
 namespace rcb::cli {
 namespace {
@@ -30,13 +31,8 @@ Status no_points(const std::string& file, const std::string& scene) {
 }
 
 Status check_not_held(const Json& shown, const std::string& scene, const std::string& hint) {
-  const auto holders = shown.at("holders").get<std::vector<std::string>>();
-  if (holders.empty()) return {};
-  const std::size_t more = shown.at("holders_count").get<std::size_t>() - holders.size();
-  return {Code::busy,
-          fmt::format("scene '{}' is held open by {}{}", scene, fmt::join(holders, ", "),
-                      more > 0 ? fmt::format(" and {} more", more) : ""),
-          hint};
+  if (shown.at("holders").empty()) return {};
+  return {Code::busy, fmt::format("scene '{}' is held open by {}", scene, holders_text(shown)), hint};
 }
 
 Result<client::StepResult> FramePusher::push(const io::Points& frame, client::StepOptions step) {

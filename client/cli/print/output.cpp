@@ -117,6 +117,11 @@ std::string text_of(const Json& object, const char* field) {
   return found == object.end() ? "-" : text_of(*found);
 }
 
+std::string holders_text(const Json& scene) {
+  const std::size_t named = scene.value("holders", Json::array()).size();
+  return text_of(scene, "holders") + and_more(std::max(scene.value("holders_count", named), named) - named);
+}
+
 std::string warning(const std::string& text) { return colours() ? "\033[31m" + text + "\033[0m" : text; }
 
 void print_line(const std::string& line) {

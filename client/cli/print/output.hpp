@@ -53,6 +53,8 @@ std::string percent(double share);         // "1.25 %"
 // A field's value for people: short numbers, null as "-", strings without quotes, arrays separated by spaces.
 std::string text_of(const nlohmann::ordered_json& value);
 std::string text_of(const nlohmann::ordered_json& object, const char* field);
+// Who has the scene open, of scene.show or status; the service names a few of many.
+std::string holders_text(const nlohmann::ordered_json& scene);
 
 // In red if stdout is a terminal.
 std::string warning(const std::string& text);

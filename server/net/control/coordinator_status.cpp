@@ -11,6 +11,7 @@
 #include <unistd.h>
 
 #include "common/base/nearest.hpp"
+#include "common/base/text.hpp"
 #include "common/files/paths.hpp"
 #include "common/files/process_id.hpp"
 #include "server/net/control/coordinator.hpp"
@@ -36,8 +37,7 @@ void Holders::add(std::string_view name) {
 }
 
 std::string Holders::in_words() const {
-  const std::size_t more = count - first.size();
-  return fmt::format("{}{}", fmt::join(first, ", "), more > 0 ? fmt::format(" and {} more", more) : "");
+  return fmt::format("{}{}", fmt::join(first, ", "), and_more(count - first.size()));
 }
 
 Holders Coordinator::holders(const std::string& scene, const std::string& except) const {
@@ -58,9 +58,9 @@ Status Coordinator::unknown_scene(const std::string& scene) const {
       if (const auto near = names_like(scene, names); !near.empty())
         hint = fmt::format("did you mean {}? ", near.front());
     const std::size_t shown = std::min(names.size(), kNamesMax);
-    hint += fmt::format("there {} {}", names.size() == 1 ? "is" : "are:",
-                        fmt::join(names.begin(), names.begin() + static_cast<std::ptrdiff_t>(shown), ", "));
-    if (shown < names.size()) hint += fmt::format(" and {} more", names.size() - shown);
+    hint += fmt::format("there {} {}{}", names.size() == 1 ? "is" : "are:",
+                        fmt::join(names.begin(), names.begin() + static_cast<std::ptrdiff_t>(shown), ", "),
+                        and_more(names.size() - shown));
   } else {
     hint = "there is none yet: create it first";
   }

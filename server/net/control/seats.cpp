@@ -8,6 +8,7 @@
 #include <fmt/ranges.h>
 #include <spdlog/spdlog.h>
 
+#include "common/base/text.hpp"
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
 #include "server/net/control/coordinator.hpp"
@@ -197,8 +198,7 @@ std::string SeatGroups::names_of(const std::string& scene, std::span<const std::
   constexpr std::size_t kNamedMax = 8;
   std::vector<std::string> names;
   for (const std::size_t seat : seats.first(std::min(seats.size(), kNamedMax))) names.push_back(name(scene, seat));
-  const std::size_t more = seats.size() - names.size();
-  return fmt::format("{}{}", fmt::join(names, ", "), more > 0 ? fmt::format(" and {} more", more) : "");
+  return fmt::format("{}{}", fmt::join(names, ", "), and_more(seats.size() - names.size()));
 }
 
 Status SeatGroups::late(const SeatPush& step) const {
