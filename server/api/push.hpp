@@ -65,6 +65,7 @@ struct Push {
   std::optional<std::uint64_t> drifted;      // since the step before, as the client has counted
   std::optional<CutsId> cuts_known;  // that the client has: the answer is to bring those after the step if they differ
 
+  bool flows() const { return inserted > 0 || removed > 0; }
   bool to_ranks() const { return way != Way::endpoint; }  // no positions come through the endpoint
   bool from_memory() const { return way == Way::shared_memory; }
   bool from_memory(int rank) const { return from_memory() && !std::ranges::binary_search(by_socket, rank); }

@@ -49,8 +49,7 @@ Status check_arrays(const PushTerms& terms, const scene::SceneState& scene, std:
   if (terms.n == 0) return {};
   if (!terms.ids && seats > 1) return wrong("the push of a seat has no ids", with_ids);
   if (!scene.step || scene.n == 0) return {};
-  if (!terms.ids && (terms.inserted > 0 || terms.removed > 0))
-    return wrong("particles come or go, and the push has no ids", with_ids);
+  if (!terms.ids && terms.flows()) return wrong("particles come or go, and the push has no ids", with_ids);
   if (!terms.ids && scene.ids)
     return wrong(fmt::format("scene '{}' has ids of its own, and the push has none", terms.id.scene), with_ids);
   if (terms.weights == scene.weights) return {};
@@ -68,7 +67,7 @@ Status check_arrays(const PushTerms& terms, const scene::SceneState& scene, std:
 
 // Checks what a push from shared memory names.
 Status check_shared(const PushTerms& terms, const scene::SceneState& scene, std::size_t seats) {
-  if (by_held(terms, scene) && (scene.ids || terms.ids || seats > 1 || terms.inserted > 0 || terms.removed > 0))
+  if (by_held(terms, scene) && (scene.ids || terms.ids || seats > 1 || terms.flows()))
     return {Code::unsupported,
             "without the array 'row' the row k of the memory is the particle k, of one client and without ids",
             "push with 'row' and 'counts', or by the path \"direct\" or \"gateway\""};

@@ -99,7 +99,7 @@ Status check_distinct(comm::Comm& comm, int seats, const std::vector<Run>& runs,
 
 // Whether the rows must be the particles that the ranks hold.
 bool stays_same(const Scene& scene, const PushRequest& push) {
-  return scene.epoch > 0 && scene.n > 0 && push.inserted == 0 && push.removed == 0 && !push.counted_ids;
+  return scene.epoch > 0 && scene.n > 0 && !push.flows() && !push.counted_ids;
 }
 
 // Whether the client says which particle a row is, and so may name one twice.
@@ -115,9 +115,8 @@ Status check_identity(comm::Comm& comm, const Scene& scene, const PushRequest& p
   if (staged.sums.rows != push.n)
     return {Code::internal, fmt::format("the ranks have read {} rows of {}", staged.sums.rows, push.n)};
   if (staged.same && !names_rows(push)) return {};
-  const bool flows = push.inserted > 0 || push.removed > 0;
   const auto expected = staged.same ? std::optional(scene.key.sum) : push.counted_ids ? push.counted_ids : scene.id_sum;
-  if (scene.epoch > 0 && scene.n > 0 && !flows && expected && *expected != staged.sums.id_sum)
+  if (scene.epoch > 0 && scene.n > 0 && !push.flows() && expected && *expected != staged.sums.id_sum)
     return {Code::not_conserved,
             fmt::format("the ids pushed aren't those of scene '{}': they are other particles, or some are missing and "
                         "others come twice",
