@@ -10,12 +10,12 @@ def owner(parts, count, seats):
     return of_part[parts]
 
 
-def mixed(ids):
-    """SplitMix64's finaliser."""
+def id_sum(ids):
+    """Of SplitMix64's finaliser over the ids, mod 2^64, as a count says it."""
     v = np.asarray(ids).astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15)
     v = (v ^ v >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
     v = (v ^ v >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
-    return v ^ v >> np.uint64(31)
+    return f"{int((v ^ v >> np.uint64(31)).sum(dtype=np.uint64)):016x}"
 
 
 class Seat(PushClient):
@@ -44,7 +44,7 @@ class Seat(PushClient):
         arrays, bulk = described({"part": [0][:len(ids)], "count": [len(ids)][:len(ids)]}, {"part": "<i4", "count": "<u8"})
         self.send({"command": "count", "scene": self.scene, "step": number, "n": len(ids),
                    "incarnation": self.opened["incarnation"], "epoch": cuts["epoch"], "hash": cuts["hash"],
-                   "id_sum": f"{int(mixed(ids).sum(dtype=np.uint64)):016x}", "arrays": arrays, **more}, bulk)
+                   "id_sum": id_sum(ids), "arrays": arrays, **more}, bulk)
         self.begun = self.number
 
     def start(self, number, rows, points, **more):

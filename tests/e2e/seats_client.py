@@ -3,18 +3,10 @@ import contextlib
 
 import judge
 import numpy as np
-from seat_client import Seat
+from seat_client import Seat, id_sum
 from protocol_client import Client, described
 
 FIELDS = ("step", "n", "parts", "error_before", "error", "imbalance", "repartitioned", "reason", "epoch", "moved", "axes_flipped")
-
-
-def mixed(ids):
-    """The sum of SplitMix64's finaliser over the ids, mod 2^64."""
-    v = ids.astype("<u8") + np.uint64(0x9E3779B97F4A7C15)
-    v = (v ^ (v >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    v = (v ^ (v >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return int((v ^ (v >> np.uint64(31))).sum(dtype="<u8"))
 
 
 class Seats:
@@ -47,7 +39,7 @@ class Seats:
         some = np.flatnonzero(counts)
         arrays, bulk = described({"part": some, "count": counts[some]}, {"part": "<i4", "count": "<u8"})
         one.send({"command": "count", "scene": self.scene, "step": number, **self.known,
-                  "incarnation": self.incarnation, "n": len(ids), "id_sum": f"{mixed(ids):016x}", "arrays": arrays, **more},
+                  "incarnation": self.incarnation, "n": len(ids), "id_sum": id_sum(ids), "arrays": arrays, **more},
                  bulk)
 
     def count(self, number, shares, points):

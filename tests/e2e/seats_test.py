@@ -5,18 +5,11 @@ import struct
 
 import protocol_client as protocol
 from protocol_client import Client
+from seat_client import id_sum
 from support import *
 
 SEATS, EACH = 1024, 4
 SEED = 20240117
-
-
-def mix(v):
-    """SplitMix64's finaliser (PROTOCOL.md, counts)."""
-    v = np.asarray(v, np.uint64) + np.uint64(0x9E3779B97F4A7C15)
-    v = (v ^ v >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
-    v = (v ^ v >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
-    return v ^ v >> np.uint64(31)
 
 
 class Crowd:
@@ -133,8 +126,7 @@ class Solver:
         for k in self.seats:
             rows = np.flatnonzero(self.part == k)
             frames[k] = self.request("count", {"part": [k], "count": [len(rows)]}, {"part": "<i4", "count": "<u8"},
-                                     session=self.crowd.sessions[k], step=step, incarnation=self.incarnation, **self.cuts,
-                                     n=len(rows), id_sum=f"{int(mix(rows).sum(dtype=np.uint64)):016x}")
+                                     step=step, incarnation=self.incarnation, **self.cuts, n=len(rows), id_sum=id_sum(rows))
         return frames
 
     def take_cuts(self, told, control):

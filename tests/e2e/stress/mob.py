@@ -9,6 +9,7 @@ from model import Model, check_cut_anew, check_scene, tree_of
 from protocol_client import FAILURE, NOTICE, REPLY, REQUEST, Refused, arrays_of, frame, reframed
 from push_client import WAYS, Block, PushClient
 from pushers import UNTRUE
+from seat_client import id_sum
 
 BAD = (math.nan, math.inf, -math.inf, -0.0, 5e-324, 1e308, -1e308)
 KINDS = {"push": 12, "tally": 6, "open": 2, "leave": 1, "change": 1, "question": 1, "memory": 1, "scribble": 2, "vanish": 1,
@@ -252,7 +253,7 @@ class Mob(Actor):
         counts = np.bincount(parts, minlength=self.tree.parts)
         some = np.flatnonzero(counts)
         arrays = {"part": some.astype("<i4"), "count": counts[some].astype("<u8")}
-        said = {"n": len(rows), "id_sum": f"{sum(map(mixed, ids.tolist())) % 2**64:016x}"}
+        said = {"n": len(rows), "id_sum": id_sum(ids)}
         if self.model.weights is not None:
             w = self.model.weights
             most = float(w.max())
@@ -377,10 +378,3 @@ class Mob(Actor):
         self.ask(self.control, "scene.drop", scene=other)
         self.scenes.remove(other)
         self.look()
-
-
-def mixed(v):
-    v = (v + 0x9E3779B97F4A7C15) % 2**64
-    v = (v ^ v >> 30) * 0xBF58476D1CE4E5B9 % 2**64
-    v = (v ^ v >> 27) * 0x94D049BB133111EB % 2**64
-    return v ^ v >> 31
