@@ -2,9 +2,9 @@
 // runs the same slope with cuts that are kept, with bands, and with RCB at tolerances.
 //
 // Invariants
-// 1. All runs compute the same: positions at every step within kSameMetres of those of the first one, or the bench
-// fails.
-//    So it does if two runs of one setting differ in anything but times.
+// 1. All runs compute the same: the bench fails if positions at any step aren't within kSameMetres of those of the
+// first
+//    run, or if two runs of one setting differ in anything but times.
 // 2. The settings take turns, after one untimed run of each. Step 0, the first partition, counts for nothing.
 #pragma once
 
