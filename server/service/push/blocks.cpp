@@ -94,6 +94,8 @@ class Reader {
     return {};
   }
 
+  // Whether the rows that the order says have come here: by the endpoint all of them, to rank 0; in memory without a
+  // list all of them, of which each rank takes its share; else those counted for this rank.
   Status check_rows(const Block& block, const PushSlice* slice) {
     const std::uint64_t wanted = block.way == api::Way::endpoint && !context_.root() ? 0
                                  : block.counts.empty()                              ? block.n
