@@ -34,6 +34,7 @@ inline constexpr std::int64_t kParticlesMax = std::int64_t{1} << 48;
 inline constexpr int kScenesMax = 1024;
 inline constexpr std::int64_t kIntegerMax = std::numeric_limits<std::int64_t>::max();
 inline constexpr std::int64_t kStepMax = kIntegerMax - 1;  // so that step + 1 exists
+inline constexpr int kWeightScaleMost = 1300;              // either way; of the smallest double there is
 inline constexpr double kDeadlineSecondsDefault = 60;
 inline constexpr double kDeadlineSecondsMax = 3600;
 

@@ -18,9 +18,7 @@ constexpr std::array<Fields, 4> kOpen{"scene", "seat", "seats", "generation"};
 constexpr std::array<Fields, 17> kPushBegin{
     "scene",  "step",    "attempt",  "n",       "path",         "dtype",      "weights", "ids",        "counts",
     "memory", "sockets", "inserted", "removed", "step_seconds", "cuts_known", "drifted", "incarnation"};
-constexpr std::array<Fields, 17> kCount{"scene",    "step",     "incarnation",     "epoch",   "hash",         "n",
-                                        "inserted", "removed",  "id_sum",          "drifted", "step_seconds", "scale",
-                                        "least",    "greatest", "weights_as_zero", "arrays",  "fault"};
+constexpr std::array<Fields, 3> kCount{"scene", "step", "fault"};
 constexpr std::array<Fields, 4> kCuts{"scene", "list", "from", "count"};
 constexpr std::array<Fields, 4> kHistory{"scene", "last", "from", "count"};
 constexpr std::array<Fields, 3> kOwner{"scene", "position", "id"};

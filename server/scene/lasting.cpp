@@ -74,7 +74,7 @@ std::shared_ptr<const partition::LoadSummary> loads_from(const Json& json, const
   auto loads = unpacked<u128>(json["loads"]);
   need(loads.size() == counts.size() && sum_fits(loads), "a load of each part");
   const Json& scale = json.at("scale");
-  need(scale.is_number_integer() && scale >= -kScaleMost && scale <= kScaleMost, "a scale");
+  need(scale.is_number_integer() && scale >= -wire::kWeightScaleMost && scale <= wire::kWeightScaleMost, "a scale");
   return std::make_shared<const partition::LoadSummary>(partition::summarise_weighted(
       std::move(counts), std::move(loads), scale.get<int>(), whole(json.at("as_zero"), now.n), now.options.part_sizes));
 }

@@ -133,7 +133,7 @@ void Ledger::remember(const StepReport& report, const std::string& session, std:
   if (!std::exchange(asked_, false)) ++totals_.skipped["questions"];
   lasting_.last_session = recent_.back().session;
   lasting_.last_seats = std::move(seats);
-  lasting_.last_report = wire::dump_json(to_json(report));
+  lasting_.last_report = text_of(report);
   keep();
   history_->add(report, lasting_.last_report, journal_.get());
 }

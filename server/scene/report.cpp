@@ -1,6 +1,58 @@
 #include "server/scene/report.hpp"
 
+#include <cmath>
+#include <concepts>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
 namespace rcb::scene {
+namespace {
+
+// A JSON object as text, field by field.
+class ObjectText {
+ public:
+  void put(const char* name, const std::string& value) { put_raw(name, wire::dump_json(value)); }
+  void put(const char* name, bool value) { put_raw(name, value ? "true" : "false"); }
+  template <std::integral T>
+  void put(const char* name, T value) {
+    put_raw(name, fmt::format_int(value).c_str());
+  }
+  // As short as it can be read back, and never without a point or an exponent.
+  void put(const char* name, double value) {
+    std::string text = std::isfinite(value) ? fmt::format("{}", value) : "null";
+    if (std::isfinite(value) && text.find_first_of(".e") == std::string::npos) text += ".0";
+    put_raw(name, text);
+  }
+  template <typename T>
+  void put(const char* name, const std::optional<T>& value) {
+    if (value)
+      put(name, *value);
+    else
+      put_raw(name, "null");
+  }
+  void put_raw(const char* name, std::string_view json) {
+    text_ += text_.empty() ? "{\"" : ",\"";
+    text_.append(name).append("\":").append(json);
+  }
+  std::string take() { return std::move(text_) + "}"; }
+
+ private:
+  std::string text_;
+};
+
+std::string text_of(const StepSeconds& seconds) {
+  ObjectText text;
+  text.put("receive", seconds.receive);
+  text.put("exchange", seconds.exchange);
+  text.put("search", seconds.search);
+  text.put("migrate", seconds.migrate);
+  text.put("total", seconds.total);
+  return text.take();
+}
+
+}  // namespace
 
 const char* name_of(Way way) {
   switch (way) {
@@ -68,30 +120,41 @@ wire::Json to_json(const StepCounts& counts) {
   return json;
 }
 
-// Field by field, since a list of all would be copied: it is done at each step.
-wire::Json to_json(const StepReport& report) {
-  wire::Json json = to_json(static_cast<const StepCounts&>(report));
-  json["scene"] = report.scene;
-  json["step"] = report.step;
-  json["epoch"] = report.epoch;
-  json["n"] = report.n;
-  json["parts"] = report.parts;
-  json["error_before"] = wire::or_null(report.error_before);
-  json["error"] = report.error;
-  json["imbalance"] = report.imbalance;
-  json["repartitioned"] = report.repartitioned;
-  json["reason"] = report.reason;
-  json["axes_flipped"] = report.axes_flipped;
-  json["inserted"] = report.inserted;
-  json["removed"] = report.removed;
-  json["skipped"] = report.skipped.names();
-  json["way"] = name_of(report.way);
-  json["sent"] = report.sent();
-  json["positions_step"] = wire::or_null(report.positions_step);
-  json["strangers"] = report.strangers;
-  if (!report.drifted_known) json["drifted"] = nullptr;
-  if (report.weights_as_zero > 0) json["weights_as_zero"] = report.weights_as_zero;
-  return json;
+// Not by way of a tree of values: it is written at each step, and seldom looked into.
+std::string text_of(const StepReport& report) {
+  ObjectText text;
+  text.put("scene", report.scene);
+  text.put("step", report.step);
+  text.put("epoch", report.epoch);
+  text.put("n", report.n);
+  text.put("parts", report.parts);
+  text.put("error_before", report.error_before);
+  text.put("error", report.error);
+  text.put("imbalance", report.imbalance);
+  text.put("repartitioned", report.repartitioned);
+  text.put("reason", report.reason);
+  text.put("axes_flipped", report.axes_flipped);
+  text.put("drifted", report.drifted_known ? std::optional(report.drifted) : std::nullopt);
+  text.put("moved", report.moved);
+  text.put("migrated", report.migrated);
+  text.put("inserted", report.inserted);
+  text.put("removed", report.removed);
+  text.put("strangers", report.strangers);
+  if (report.weights_as_zero > 0) text.put("weights_as_zero", report.weights_as_zero);
+  text.put("scanned", report.scanned);
+  text.put("searched", report.searched);
+  text.put("rounds", report.rounds);
+  text.put("reductions", report.reductions);
+  const std::vector<std::string> skipped = report.skipped.names();
+  text.put_raw("skipped", skipped.empty() ? "[]" : fmt::format("[\"{}\"]", fmt::join(skipped, "\",\"")));
+  text.put_raw("way", fmt::format("\"{}\"", name_of(report.way)));
+  text.put("bytes", report.bytes);
+  text.put("sent", report.sent());
+  text.put("positions_step", report.positions_step);
+  text.put_raw("seconds", text_of(report.seconds));
+  return text.take();
 }
+
+wire::Json to_json(const StepReport& report) { return wire::Json::parse(text_of(report)); }
 
 }  // namespace rcb::scene

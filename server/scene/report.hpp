@@ -88,6 +88,7 @@ struct StepReport : StepCounts {
 
 // The counts alone.
 wire::Json to_json(const StepCounts& counts);
+std::string text_of(const StepReport& report);  // as JSON
 wire::Json to_json(const StepReport& report);
 
 }  // namespace rcb::scene

@@ -1,5 +1,5 @@
 """Life of the service: up and down, several beside each other, idle, clean ends, crashes, nothing left behind."""
-from protocol_client import Client, described
+from protocol_client import Client, count_record
 from support import *
 
 
@@ -83,14 +83,11 @@ class Lifecycle(unittest.TestCase):
             client.ask("scene.create", scene="s", parts=4, positions="when-needed")
             client.push("s", 0, np.random.default_rng(1).random((400, 3)))
             shown = client.ask("scene.show", scene="s")[0]
-            named = {name: shown[name] for name in ("incarnation", "epoch", "hash", "n")}
-            arrays, bulk = described({"part": range(4), "count": shown["counts"]}, {"part": "<i4", "count": "<u8"})
             others = [one["pid"] for one in service.json("status")["hosts"]][1:]
             time.sleep(1)  # what the step left behind
             steps, before = 10000, wake_ups(others)
             for step in range(1, steps + 1):
-                client.send({"command": "count", "scene": "s", "step": step, "arrays": arrays, **named},
-                            bulk)
+                client.send({"command": "count", "scene": "s"}, count_record(step, shown, shown["counts"]))
                 self.assertEqual(client.answer()[0]["report"]["way"], "count")
             woken = {thread: times - before[thread] for thread, times in wake_ups(others).items()}
             print(f"{steps} counts: no thread of another rank was woken more than {max(woken.values())} times")

@@ -5,7 +5,7 @@ import shutil
 import tempfile
 import threading
 
-from protocol_client import NOTICE, REPLY, Client, Refused, arrays_of, described
+from protocol_client import NOTICE, REPLY, Client, Refused, arrays_of, count_record
 from support import *
 
 
@@ -66,15 +66,12 @@ class History(unittest.TestCase):
             client.ask("scene.create", scene="still", parts=2, positions="when-needed")
             client.push("still", 0, np.random.default_rng(1).random((10, 3)))
             shown = client.ask("scene.show", scene="still")[0]
-            arrays, bulk = described({"part": [0, 1], "count": shown["counts"]}, {"part": "<i4", "count": "<u8"})
-            count = {"command": "count", "scene": "still", "n": 10, "arrays": arrays,
-                     **{name: shown[name] for name in ("incarnation", "epoch", "hash")}}
 
             def steps(first, last):
                 for at in range(first, last, 32):
                     number = client.number
                     for step in range(at, min(at + 32, last)):
-                        client.send({**count, "step": step}, bulk)
+                        client.send({"command": "count", "scene": "still"}, count_record(step, shown, shown["counts"]))
                     for client.number in range(number + 1, client.number + 1):
                         self.assertIn("report", client.answer()[0])
 

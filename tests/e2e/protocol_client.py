@@ -50,6 +50,22 @@ def described(columns, dtypes={}):
     return arrays, b"".join(bulk)
 
 
+def count_record(step, named, counts, n=None, inserted=0, removed=0, id_sum=None, drifted=None, step_seconds=None, weights=None,
+                 more_bits=0):
+    """The bulk of a count. named: `incarnation`, `epoch` and `hash`, as they are told; counts: by part, or {part: count};
+    weights: {"scale", "least", "greatest", "weights_as_zero", "loads": by entry of counts}."""
+    counts = counts if isinstance(counts, dict) else dict(enumerate(counts))
+    said = [value is not None for value in (id_sum, drifted, step_seconds, weights)]
+    weighted = weights or {"scale": 0, "least": 0, "greatest": 0, "weights_as_zero": 0, "loads": [0] * len(counts)}
+    head = struct.pack("<QQqQQQQQQQdqddQ", sum(bit << k for k, bit in enumerate(said)) | more_bits, int(named["incarnation"], 16),
+                       step, named["epoch"], int(named["hash"], 16), sum(counts.values()) if n is None else n, inserted, removed,
+                       id_sum or 0, drifted or 0, step_seconds or 0,
+                       *(weighted[name] for name in ("scale", "least", "greatest", "weights_as_zero")))
+    rows = [struct.pack("<QQ", part, count) + (int(load).to_bytes(16, "little") if weights else b"")
+            for (part, count), load in zip(counts.items(), weighted["loads"])]
+    return head + b"".join(rows)
+
+
 def arrays_of(document, bulk):
     """The arrays of an answer, by name."""
     arrays, at = {}, 0

@@ -1,6 +1,6 @@
 """Seats of a parallel solver, from PROTOCOL.md alone."""
 import numpy as np
-from protocol_client import described
+from protocol_client import count_record
 from push_client import Block, PushClient
 
 
@@ -15,7 +15,7 @@ def id_sum(ids):
     v = np.asarray(ids).astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15)
     v = (v ^ v >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
     v = (v ^ v >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
-    return f"{int((v ^ v >> np.uint64(31)).sum(dtype=np.uint64)):016x}"
+    return int((v ^ v >> np.uint64(31)).sum(dtype=np.uint64))
 
 
 class Seat(PushClient):
@@ -38,13 +38,12 @@ class Seat(PushClient):
         for link, data in self.slices:
             link.sendall(data)
 
-    def count(self, number, ids, **more):
+    def count(self, number, ids, inserted=0, removed=0):
         """In a scene of one part."""
         cuts = self.ask("cuts", scene=self.scene)[0]
-        arrays, bulk = described({"part": [0][:len(ids)], "count": [len(ids)][:len(ids)]}, {"part": "<i4", "count": "<u8"})
-        self.send({"command": "count", "scene": self.scene, "step": number, "n": len(ids),
-                   "incarnation": self.opened["incarnation"], "epoch": cuts["epoch"], "hash": cuts["hash"],
-                   "id_sum": id_sum(ids), "arrays": arrays, **more}, bulk)
+        self.send({"command": "count", "scene": self.scene},
+                  count_record(number, {**self.opened, **cuts}, [len(ids)][:len(ids)], inserted=inserted, removed=removed,
+                               id_sum=id_sum(ids)))
         self.begun = self.number
 
     def start(self, number, rows, points, **more):

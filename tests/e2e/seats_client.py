@@ -4,7 +4,7 @@ import contextlib
 import judge
 import numpy as np
 from seat_client import Seat, id_sum
-from protocol_client import Client, described
+from protocol_client import Client, count_record
 
 FIELDS = ("step", "n", "parts", "error_before", "error", "imbalance", "repartitioned", "reason", "epoch", "moved", "axes_flipped")
 
@@ -36,11 +36,9 @@ class Seats:
 
     def start_count(self, one, number, ids, points, **more):
         counts = np.bincount(self.tree.assign(points[ids], ids), minlength=self.tree.parts)
-        some = np.flatnonzero(counts)
-        arrays, bulk = described({"part": some, "count": counts[some]}, {"part": "<i4", "count": "<u8"})
-        one.send({"command": "count", "scene": self.scene, "step": number, **self.known,
-                  "incarnation": self.incarnation, "n": len(ids), "id_sum": id_sum(ids), "arrays": arrays, **more},
-                 bulk)
+        counts = {int(part): int(counts[part]) for part in np.flatnonzero(counts)}
+        one.send({"command": "count", "scene": self.scene, **more},
+                 count_record(number, {**self.known, "incarnation": self.incarnation}, counts, id_sum=id_sum(ids)))
 
     def count(self, number, shares, points):
         for one, ids in zip(self.team, shares):

@@ -125,8 +125,9 @@ class Solver:
         frames = {}
         for k in self.seats:
             rows = np.flatnonzero(self.part == k)
-            frames[k] = self.request("count", {"part": [k], "count": [len(rows)]}, {"part": "<i4", "count": "<u8"},
-                                     step=step, incarnation=self.incarnation, **self.cuts, n=len(rows), id_sum=id_sum(rows))
+            record = protocol.count_record(step, {**self.cuts, "incarnation": self.incarnation}, {k: len(rows)},
+                                           id_sum=id_sum(rows))
+            frames[k] = protocol.frame(protocol.REQUEST, 2, {"command": "count", "scene": self.scene}, record)
         return frames
 
     def take_cuts(self, told, control):

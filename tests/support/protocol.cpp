@@ -107,9 +107,12 @@ std::optional<Frame> receive(const std::function<bool(char* to, std::size_t size
   std::string bulk(number_at(header, 24, 8), '\0'), sum(flags == 1 ? 8 : 0, '\0');
   if (!read(bulk.data(), bulk.size()) || !read(sum.data(), sum.size())) return std::nullopt;
   need(flags == 0 || sum == little_endian(xxh3(bulk), 8), "the checksum of the bulk of " + text);
-  Frame out{static_cast<FrameType>(type), number_at(header, 16, 8), parse(text), {}};
+  Frame out{static_cast<FrameType>(type), number_at(header, 16, 8), parse(text), {}, {}};
   need(out.request != 0 || out.type == FrameType::goodbye, "request 0 of " + text);
-  out.arrays = arrays_of(out.json, bulk);
+  if (out.json.value("command", "") == "count")
+    out.record = std::move(bulk);
+  else
+    out.arrays = arrays_of(out.json, bulk);
   return out;
 }
 

@@ -40,6 +40,7 @@ struct Frame {
   std::uint64_t request = 0;
   Json json;
   std::vector<Array> arrays;
+  std::string record;  // the bulk of a count
 
   // The array of that name, which must be described as one of doubles or signed integers, as T is.
   template <typename T>

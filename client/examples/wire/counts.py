@@ -8,9 +8,9 @@ import numpy as np
 xxh = ctypes.CDLL("libxxhash.so.0").XXH3_64bits
 xxh.restype, xxh.argtypes = ctypes.c_uint64, [ctypes.c_char_p, ctypes.c_size_t]
 
-def send(message, arrays={}, kind=3):
-    message["arrays"] = [{"name": name, "dtype": a.dtype.str, "shape": a.shape} for name, a in arrays.items()]
-    text, bulk = json.dumps(message).encode(), b"".join(a.tobytes() for a in arrays.values())
+def send(message, arrays={}, kind=3, bulk=b""):
+    if arrays: message["arrays"] = [{"name": name, "dtype": a.dtype.str, "shape": a.shape} for name, a in arrays.items()]
+    text, bulk = json.dumps(message).encode(), bulk + b"".join(a.tobytes() for a in arrays.values())
     head = struct.pack("<4sHHIIQQ", b"RCBD", 2, kind, 0, len(text), 1, len(bulk))
     sock.sendall(head + struct.pack("<Q", xxh(head + text, len(head) + len(text))) + text + bulk)
 
@@ -50,7 +50,8 @@ for number, x in enumerate(steps):
             send(scene | {"command": "cuts", "list": "arrays"})
             told, cuts = receive(); known = {name: told[name] for name in ("epoch", "hash")}
         part, count = np.unique(owners(x, ids, 0, 0, parts), return_counts=True)
-        send(step | known | {"command": "count"}, {"part": part, "count": count.astype("<u8")})
+        record = [0, int(opened["incarnation"], 16), number, known["epoch"], int(known["hash"], 16), len(x), *[0] * 9]
+        send(scene | {"command": "count"}, bulk=struct.pack("<15Q", *record) + np.stack([part, count], 1).astype("<u8").tobytes())
         answer = receive()[0]
     if "report" not in answer:
         send(step | {"command": "push.begin"})

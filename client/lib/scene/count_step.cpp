@@ -6,6 +6,7 @@
 
 #include "common/base/exact_scale.hpp"
 #include "common/base/random.hpp"
+#include "common/wire/count_record.hpp"
 #include "common/wire/frame.hpp"
 
 namespace rcb::client {
@@ -17,21 +18,15 @@ std::uint64_t sum_of_rows(std::uint64_t n) {
   return sum;
 }
 
-template <typename T>
-void add_array(wire::Json& described, std::string& bytes, const char* name, const char* dtype,
-               const std::vector<T>& values, std::size_t columns) {
-  wire::Json shape{values.size() / columns};
-  if (columns > 1) shape.push_back(columns);
-  described.push_back({{"name", name}, {"dtype", dtype}, {"shape", std::move(shape)}});
-  bytes.append(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
-}
-
-std::string fault_frame(std::uint64_t request, wire::Json json, const Status& fault) {
-  json["command"] = "count";
-  json["fault"] = wire::failure_json(fault)["failure"];
+// The request `count`. more: further fields, each with a comma before it. Names of scenes need no quoting.
+std::string request_frame(std::uint64_t request, const CountCall& call, double seconds, const std::string& more,
+                          const std::string& record) {
   wire::FrameHeader header;
   header.request = request;
-  return wire::encode_frame(header, wire::dump_json(json));
+  header.bulk_bytes = record.size();
+  return wire::encode_frame(header, fmt::format(R"({{"command":"count","scene":"{}","deadline_seconds":{}{}}})",
+                                                call.scene, seconds, more)) +
+         record;
 }
 
 }  // namespace
@@ -91,37 +86,26 @@ Status CountStep::count(const cuts::Cuts& cuts, const CountedRows& rows, std::op
   return {};
 }
 
-std::string CountStep::frame(std::uint64_t request, wire::Json json) const {
-  json["command"] = "count";
-  json["epoch"] = parts_by_->epoch;
-  json["hash"] = wire::hex64(parts_by_->hash);
-  json["n"] = count_.n;
-  json["id_sum"] = wire::hex64(*id_sum_);
-  json["drifted"] = drifted_ ? wire::Json(*drifted_) : wire::Json();
-  std::vector<std::int32_t> parts;
-  std::vector<std::uint64_t> counts, loads;
+std::string CountStep::record(const CountCall& call) const {
+  wire::CountRecord record;
+  record.step = call.step;
+  if (const auto incarnation = wire::parse_hex64(call.incarnation)) record.incarnation = *incarnation;
+  record.epoch = parts_by_->epoch;
+  record.hash = parts_by_->hash;
+  record.n = count_.n;
+  record.inserted = call.options.inserted;
+  record.removed = call.options.removed;
+  record.id_sum = id_sum_;
+  record.drifted = drifted_;
+  record.step_seconds = call.options.step_seconds;
+  if (weighted_) record.weights = wire::WeightCount{*scale_, count_.least, count_.greatest, count_.weights_as_zero, {}};
   for (std::size_t p = 0; p < count_.counts.size(); ++p) {
     if (count_.counts[p] == 0) continue;
-    parts.push_back(static_cast<std::int32_t>(p));
-    counts.push_back(count_.counts[p]);
-    if (count_.loads.empty()) continue;
-    loads.push_back(static_cast<std::uint64_t>(count_.loads[p]));
-    loads.push_back(static_cast<std::uint64_t>(count_.loads[p] >> 64U));
+    record.parts.push_back(static_cast<std::int32_t>(p));
+    record.counts.push_back(count_.counts[p]);
+    if (weighted_) record.weights->loads.push_back(count_.loads.empty() ? 0 : count_.loads[p]);
   }
-  if (weighted_)
-    json.update({{"scale", *scale_},
-                 {"least", count_.least},
-                 {"greatest", count_.greatest},
-                 {"weights_as_zero", count_.weights_as_zero}});
-  std::string bytes;
-  wire::Json& arrays = json["arrays"] = wire::Json::array();
-  add_array(arrays, bytes, "part", "<i4", parts, 1);
-  add_array(arrays, bytes, "count", "<u8", counts, 1);
-  if (weighted_) add_array(arrays, bytes, "load", "<u8", loads, 2);
-  wire::FrameHeader header;
-  header.request = request;
-  header.bulk_bytes = bytes.size();
-  return wire::encode_frame(header, wire::dump_json(json)) + bytes;
+  return wire::encode(record);
 }
 
 Result<std::optional<Answer>> CountStep::ask(const CountCall& call, const CountedRows& rows, SceneCuts& cuts,
@@ -139,15 +123,11 @@ Result<std::optional<Answer>> CountStep::ask(const CountCall& call, const Counte
   for (int tries = 0; tries < kTriesMax; ++tries) {
     const Status counted = count(*cuts.known, rows, call.last_step, scale);
     if (!counted && !call.of_seat) return counted;
-    wire::Json json{{"scene", call.scene},
-                    {"step", call.step},
-                    {"incarnation", call.incarnation},
-                    {"deadline_seconds", retry.seconds_left()}};
-    if (call.options.step_seconds) json["step_seconds"] = *call.options.step_seconds;
-    if (call.options.inserted > 0) json["inserted"] = call.options.inserted;
-    if (call.options.removed > 0) json["removed"] = call.options.removed;
     const std::uint64_t request = call.session.next_request();
-    const std::string sent = counted ? frame(request, std::move(json)) : fault_frame(request, std::move(json), counted);
+    const std::string more = counted ? ""
+                                     : fmt::format(R"(,"step":{},"fault":{})", call.step,
+                                                   wire::dump_json(wire::failure_json(counted)["failure"]));
+    const std::string sent = request_frame(request, call, retry.seconds_left(), more, counted ? record(call) : "");
     auto told = call.session.exchange_frames(
         request, sent, fmt::format("count of step {} of scene '{}'", call.step, call.scene), retry.deadline());
     if (!counted) return counted;  // the others have been told
@@ -159,7 +139,7 @@ Result<std::optional<Answer>> CountStep::ask(const CountCall& call, const Counte
     const auto again = answer->find("again");
     if (again == answer->end()) return send;
     if (*again == "scale") {
-      const auto due = wire::integer_field(*answer, "scale", -kScaleMost, kScaleMost);
+      const auto due = wire::integer_field(*answer, "scale", -wire::kWeightScaleMost, wire::kWeightScaleMost);
       if (!due) return due.status();
       scale = static_cast<int>(*due);
     } else if (Status status = find_cuts(); !status) {

@@ -20,8 +20,6 @@
 
 namespace rcb::client {
 
-inline constexpr int kScaleMost = 1300;  // that a service may ask for: of the smallest double there is
-
 // All rows of a step.
 struct CountedRows {
   Positions positions;
@@ -74,8 +72,8 @@ class CountStep {
   // Counts the rows, unless that has been done. scale: the one that the service asks for.
   Status count(const cuts::Cuts& cuts, const CountedRows& rows, std::optional<std::int64_t> last,
                std::optional<int> scale);
-  // The request `count`. json: what else it says.
-  std::string frame(std::uint64_t request, wire::Json json) const;
+  // What has been counted, as it travels.
+  std::string record(const CountCall& call) const;
 
   std::vector<std::int32_t> part_;    // by row
   std::optional<std::int64_t> step_;  // whose parts these are

@@ -131,11 +131,9 @@ awaitable<Status> Session::serve(Frame frame) {
   auto command = wire::string_field(frame.json, "command", 64);
   if (command.ok() && *command == "push.slice") co_return co_await push_slice(std::move(frame));
   const bool checked = (frame.header.flags & wire::kFlagBulkChecksum) != 0;
-  std::vector<wire::Array> arrays;
+  Result<wire::CountRecord> counted = wire::CountRecord{};
   if (command.ok() && *command == "count") {
-    auto read = co_await read_count_arrays(frame);
-    if (!read.ok()) co_return read.status();
-    arrays = std::move(*read);
+    if (const Status read = co_await read_record(frame, counted); !read.ok()) co_return read;
   } else if (frame.header.bulk_bytes > 0 || checked) {
     // The bulk is dropped, since no other command takes arrays; but a frame whose specs contradict its size ends the
     // session.
@@ -158,7 +156,7 @@ awaitable<Status> Session::serve(Frame frame) {
   }
   Request request{frame.header.request,  info,      std::move(*command),
                   std::move(frame.json), *deadline, now() + duration_of(*deadline)};
-  request.arrays = std::move(arrays);
+  request.counted = std::move(counted);
   request.bytes = wire::kHeaderBytes + frame.header.json_bytes + frame.header.bulk_bytes;
   ++answering_;
   if (const Status admitted = admit_size(request, frame.header.json_bytes); admitted.ok())

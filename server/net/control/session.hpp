@@ -17,6 +17,7 @@
 #include <set>
 #include <string>
 
+#include "common/wire/count_record.hpp"
 #include "server/api/commands.hpp"
 #include "server/net/control/coordinator.hpp"
 #include "server/net/sockets/hello.hpp"
@@ -77,9 +78,9 @@ class Session : public std::enable_shared_from_this<Session> {
     std::shared_ptr<void> held = nullptr;  // memory of a large request (Coordinator::hold_request)
     // Set when the client no longer waits, so that a long command may end early.
     std::shared_ptr<std::atomic<bool>> cancelled = std::make_shared<std::atomic<bool>>(false);
-    std::vector<wire::Array> arrays = {};  // of a count
-    std::uint64_t bytes = 0;               // of its frame
-    std::optional<SeatClaim> seat = {};    // that a scene.open has taken
+    Result<wire::CountRecord> counted = wire::CountRecord{};  // by a count
+    std::uint64_t bytes = 0;                                  // of its frame
+    std::optional<SeatClaim> seat = {};                       // that a scene.open has taken
   };
 
   awaitable<Status> hello();
@@ -102,13 +103,13 @@ class Session : public std::enable_shared_from_this<Session> {
   awaitable<void> reply_when_done(Request& request, std::shared_ptr<Pending> pending);
   void reply(const Request& request, Answer answer);
 
-  // Of a count, at most so many as its scene has parts. Errors end the session.
-  awaitable<Result<std::vector<wire::Array>>> read_count_arrays(const Frame& frame);
+  // Reads the record of a count, of at most so many parts as its scene has, into `counted`. Errors end the session.
+  awaitable<Status> read_record(const Frame& frame, Result<wire::CountRecord>& counted);
   awaitable<void> count(Request& request);
-  Status count_alone(Request& request, const PushId& id);
+  Status count_alone(Request& request, const std::string& scene);
   // For one of the scene's seats, which are answered together.
-  Status count_by_seat(Request& request, const PushId& id);
-  Result<scene::CountRecord> record_of(Request& request, const PushId& id);
+  Status count_by_seat(Request& request, const std::string& scene);
+  Result<scene::CountRecord> record_of(Request& request) const;
   void answer_count(const Request& request, const scene::Ledger& ledger, scene::CountVerdict verdict);
   awaitable<void> answer_from_ledger(Request& request);
   // Replies when the answer is complete, which may be on another thread.

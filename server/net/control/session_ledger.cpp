@@ -1,5 +1,4 @@
 // Session, part 3: what rank 0 answers from a scene's ledger, with no engine: counts, and queries about steps.
-#include <cstring>
 #include <utility>
 
 #include <fmt/format.h>
@@ -100,75 +99,71 @@ awaitable<Status> Session::wait_for_positions(const Request& request) {
   co_return status;
 }
 
-awaitable<Result<std::vector<wire::Array>>> Session::read_count_arrays(const Frame& frame) {
-  constexpr std::uint64_t kBytesOfPart = 28;
-  const auto specs = wire::array_specs(frame.json, frame.header.bulk_bytes);
-  if (!specs.ok()) co_return specs.status();
+awaitable<Status> Session::read_record(const Frame& frame, Result<wire::CountRecord>& counted) {
   const auto name = wire::string_field(frame.json, "scene", 256);
   const scene::Ledger* ledger = name.ok() ? coordinator_->scenes().find(*name) : nullptr;
+  const std::uint64_t bytes = frame.header.bulk_bytes;
   const int parts = ledger == nullptr ? 0 : ledger->now().options.parts;
-  std::vector<wire::Array> arrays;
-  if (frame.header.bulk_bytes > kBytesOfPart * static_cast<std::uint64_t>(parts)) {
-    // Refused by what follows: the scene isn't there, or the arrays are missing.
-    if (Status status = co_await connection_->skip_bulk(frame, frame.header.bulk_bytes); !status.ok()) co_return status;
-    co_return arrays;
+  if (bytes > wire::count_record_bytes_most(static_cast<std::uint64_t>(parts))) {
+    counted = Status(Code::invalid_argument,
+                     fmt::format("count: a record of {} bytes, and the scene has {} parts", bytes, parts));
+    co_return co_await connection_->skip_bulk(frame, bytes);
   }
+  std::vector<std::byte> record(bytes);
+  if (Status status = co_await connection_->read_bulk(record); !status.ok()) co_return status;
   wire::BulkChecksum checksum;
-  for (const wire::ArraySpec& spec : *specs) {
-    wire::Array& array = arrays.emplace_back(wire::Array{spec.name, spec.dtype, spec.shape, {}});
-    array.bytes.resize(spec.bytes);
-    if (Status status = co_await connection_->read_bulk(array.bytes.span()); !status.ok()) co_return status;
-    checksum.add(array.bytes.span());
-  }
+  checksum.add(record);
   if (Status status = co_await check_sum(frame, checksum, "a count"); !status.ok()) co_return status;
-  co_return arrays;
+  counted = wire::decode_count_record(record);
+  co_return Status();
 }
 
 awaitable<void> Session::count(Request& request) {
-  const Result<PushId> id = read_push_id(request.json, number_);
-  if (!id.ok()) {
-    fail(request.number, id.status());
-    co_return;
-  }
+  const auto scene = wire::string_field(request.json, "scene", 256);
   SeatGroups& groups = coordinator_->groups();
-  const bool seated = groups.knows(id->scene, connection_.get());
-  Status status = seated ? Status() : groups.check_free(id->scene);
+  const bool seated = scene.ok() && groups.knows(*scene, connection_.get());
+  Status status = scene.status();
+  if (status.ok() && !seated) status = groups.check_free(*scene);
   if (status.ok()) {
-    SceneGate& gate = coordinator_->gate(id->scene);
+    SceneGate& gate = coordinator_->gate(*scene);
     const auto ready = [&gate] { return gate.changes_unfinished == 0 && gate.push == nullptr; };
     // A seat keeps nobody waiting, so it need not queue; where others push the step it is told so.
     const auto joins = [&gate, seated, ready] { return seated && (ready() || (gate.push && gate.push->round)); };
-    status = co_await wait_turn(request, id->scene, ready, joins);
+    status = co_await wait_turn(request, *scene, ready, joins);
   }
-  if (status.ok()) status = seated ? count_by_seat(request, *id) : count_alone(request, *id);
+  if (status.ok()) status = seated ? count_by_seat(request, *scene) : count_alone(request, *scene);
   if (!status.ok()) reply(request, api::failed(status));
-  coordinator_->wake_queue(id->scene);
+  if (scene.ok()) coordinator_->wake_queue(*scene);
 }
 
-Result<scene::CountRecord> Session::record_of(Request& request, const PushId& id) {
-  request.json["session"] = id.session;
-  auto record = scene::read_count(request.json, request.arrays);
-  if (record.ok()) record->bytes = request.bytes;
+Result<scene::CountRecord> Session::record_of(Request& request) const {
+  if (!request.counted.ok()) return request.counted.status();
+  scene::CountRecord record{std::move(*request.counted), number_};
+  record.bytes = request.bytes;
   return record;
 }
 
-Status Session::count_alone(Request& request, const PushId& id) {
-  scene::Ledger* ledger = coordinator_->scenes().find(id.scene);
-  if (ledger == nullptr) return coordinator_->unknown_scene(id.scene);
-  const auto record = record_of(request, id);
+Status Session::count_alone(Request& request, const std::string& scene) {
+  scene::Ledger* ledger = coordinator_->scenes().find(scene);
+  if (ledger == nullptr) return coordinator_->unknown_scene(scene);
+  const auto record = record_of(request);
   if (record.ok()) answer_count(request, *ledger, ledger->count(*record));
   return record.status();
 }
 
-Status Session::count_by_seat(Request& request, const PushId& id) {
-  CountBegin begin{id.scene, id.step, connection_, request.number, request.end, {}, {}};
+Status Session::count_by_seat(Request& request, const std::string& scene) {
+  CountBegin begin{scene, 0, connection_, request.number, request.end, {}, {}};
   if (api::given(request.json, "fault")) {
+    const auto step = wire::integer_field(request.json, "step", 0, wire::kStepMax);
+    if (!step.ok()) return step.status();
+    begin.step = *step;
     begin.fault = wire::status_from_failure({{"failure", request.json["fault"]}});
     if (begin.fault.code() == Code::internal || begin.fault.code() == Code::protocol_error)  // no code that is known
       begin.fault = {Code::invalid_argument, "field 'fault': expected {\"code\",\"message\"}"};
   } else {
-    auto record = record_of(request, id);
+    auto record = record_of(request);
     if (!record.ok()) return record.status();
+    begin.step = record->step;
     begin.record = std::move(*record);
   }
   return coordinator_->groups().count(std::move(begin));

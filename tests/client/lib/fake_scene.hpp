@@ -8,6 +8,7 @@
 #include <numeric>
 #include <set>
 
+#include "common/wire/count_record.hpp"
 #include "tests/client/lib/fake_service.hpp"
 #include "tests/client/lib/told_cuts.hpp"
 
@@ -38,7 +39,7 @@ class FakeScene {
   // What the n-th count (from 0) meets, and its answer, if that is not a report.
   std::function<Fault(int)> count_fault = [](int) { return Fault::none; };
   std::function<protocol::Json(int)> verdict = [](int) { return protocol::Json(); };
-  std::vector<Received> counted;
+  std::vector<wire::CountRecord> counted;
 
   std::vector<std::string> sessions;
   std::vector<std::int64_t> attempts;
@@ -125,16 +126,19 @@ class FakeScene {
   // False: the connection ends.
   bool count(Peer& peer, const Received& request) {
     const int n = static_cast<int>(counted.size());
-    counted.push_back(request);
+    const auto record = wire::decode_count_record(std::as_bytes(std::span(request.record)));
+    EXPECT_TRUE(record.ok()) << record.status().message();
+    if (!record.ok()) return false;
+    counted.push_back(*record);
     const Fault now = count_fault(n);
     if (now == Fault::close_before_commit) return false;
-    const auto number = request.json["step"].get<std::int64_t>();
+    const std::int64_t number = record->step;
     protocol::Json answer = verdict(n);
     if (!answer.is_null()) return peer.reply(request, answer);
     const bool repeated = step == number;
     answer["previous_step"] = *step;
     answer["report"] = report(number);
-    answer["report"].update({{"sent", false}, {"way", "count"}, {"drifted", request.json["drifted"]}});
+    answer["report"].update({{"sent", false}, {"way", "count"}, {"drifted", wire::or_null(record->drifted)}});
     if (repeated) answer["repeated"] = true;
     step = number;
     if (now == Fault::close_after_commit) return false;

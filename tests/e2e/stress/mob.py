@@ -6,7 +6,7 @@ import time
 import numpy as np
 from actor import LOST, Actor, Unexpected
 from model import Model, check_cut_anew, check_scene, tree_of
-from protocol_client import FAILURE, NOTICE, REPLY, REQUEST, Refused, arrays_of, frame, reframed
+from protocol_client import FAILURE, NOTICE, REPLY, REQUEST, Refused, arrays_of, count_record, frame, reframed
 from push_client import WAYS, Block, PushClient
 from pushers import UNTRUE
 from seat_client import id_sum
@@ -251,37 +251,32 @@ class Mob(Actor):
             return {}, {}
         parts = self.tree.assign(points, ids)
         counts = np.bincount(parts, minlength=self.tree.parts)
-        some = np.flatnonzero(counts)
-        arrays = {"part": some.astype("<i4"), "count": counts[some].astype("<u8")}
-        said = {"n": len(rows), "id_sum": id_sum(ids)}
+        some = [int(part) for part in np.flatnonzero(counts)]
+        said = {"id_sum": id_sum(ids)}
         if self.model.weights is not None:
             w = self.model.weights
             most = float(w.max())
             scale = 127 - math.frexp(most)[1] - (len(w) - 1).bit_length() if most else 0
             loads = [sum(int(v * 4) << max(scale - 2, 0) for v in w[rows][parts == p]) % 2**128 for p in some]
-            arrays["load"] = np.array([[v % 2**64, v >> 64] for v in loads], "<u8").reshape(-1, 2)
-            said |= {"scale": scale, "least": float(w[rows].min(initial=most)), "greatest": float(w[rows].max(initial=0)),
-                     "weights_as_zero": 0}
-        return said, arrays
+            said["weights"] = {"scale": scale, "least": float(w[rows].min(initial=most)),
+                               "greatest": float(w[rows].max(initial=0)), "weights_as_zero": 0, "loads": loads}
+        return said, {part: int(counts[part]) for part in some}
 
     def do_tally(self, guest):
-        said, arrays = self.tally_of(guest)
-        document = {"command": "count", "scene": self.scene, "step": self.step(),
-                    "incarnation": self.shown["incarnation"], "epoch": self.shown["epoch"], "hash": self.shown["hash"], **said}
+        said, counts = self.tally_of(guest)
         if self.random.random() < 0.2:
-            document |= {"inserted": (k := self.random.choice([1, 3, 2**48])), "removed": k}
-        if self.random.random() < 0.3:
-            name = self.random.choice(["step", "incarnation", "epoch", "hash", "n", "id_sum", "drifted", "step_seconds", "scale",
-                                       "inserted", "removed", "least", "greatest", "weights_as_zero", "fault"])
-            document[name] = self.random.choice([*UNTRUE, *NUMBERS, {"code": "not_finite", "message": "x"}, {"code": "internal"}])
-        if arrays and self.random.random() < 0.2:
-            name = self.random.choice(list(arrays))
-            values = arrays[name].copy()
-            if values.size:
-                values.reshape(-1)[self.random.randrange(values.size)] = self.random.choice([0, 1, 2**30, 2**31 - 1])
-            arrays[name] = self.random.choice([values, values[::-1], values[:-1], np.concatenate([values, values])])
-        document["arrays"] = [{"name": name, "dtype": values.dtype.str, "shape": values.shape} for name, values in arrays.items()]
-        guest.request(document, b"".join(np.ascontiguousarray(values).tobytes() for values in arrays.values()))
+            said |= {"inserted": (k := self.random.choice([1, 3, 2**48])), "removed": k}
+        record = bytearray(count_record(self.step(), self.shown, counts, **said))
+        if self.random.random() < 0.4:
+            word = self.random.choice([*NUMBERS, struct.unpack("<Q", struct.pack("<d", self.random.choice(BAD)))[0]])
+            struct.pack_into("<Q", record, 8 * self.random.randrange(len(record) // 8), word % 2**64)
+        if self.random.random() < 0.1:
+            record = record[:self.random.randrange(len(record))] + record[:self.random.choice([0, 16, 32, 20000])]
+        document = {"command": "count", "scene": self.scene}
+        if self.random.random() < 0.1:
+            document |= {"step": self.random.choice([self.step(), *NUMBERS]), "fault": self.random.choice(
+                [*UNTRUE, {"code": "not_finite", "message": "x"}, {"code": "internal"}])}
+        guest.request(document, bytes(record))
 
     # What they are answered.
 

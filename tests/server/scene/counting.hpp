@@ -17,24 +17,11 @@
 #include "common/base/random.hpp"
 #include "common/base/wide.hpp"
 #include "common/partition/balance/load.hpp"
-#include "common/wire/message.hpp"
+#include "common/wire/count_record.hpp"
 #include "server/scene/ledger.hpp"
 #include "server/scene/tally.hpp"
 
 namespace rcb::testing {
-
-struct CountRequest {
-  wire::Json json;
-  std::vector<wire::Array> arrays;
-};
-
-template <typename T>
-wire::Array array_of(const char* name, const char* dtype, const std::vector<T>& values, std::uint64_t columns = 1) {
-  wire::Array array{name, dtype, {values.size() / columns}, {}};
-  if (columns > 1) array.shape.push_back(columns);
-  array.bytes.assign(std::as_bytes(std::span(values)));
-  return array;
-}
 
 // Of a weight that needs a smaller scale: any bits.
 inline u128 scaled_weight(double weight, int scale) {
@@ -44,41 +31,41 @@ inline u128 scaled_weight(double weight, int scale) {
 }
 
 // Counts the rows [first, last), which have these parts; weights in this scale. What identifies the step is left out.
-inline CountRequest count_rows(const particles::ParticleView& particles, std::span<const std::int32_t> part,
-                               std::size_t first, std::size_t last, int scale) {
+inline scene::CountRecord count_rows(const particles::ParticleView& particles, std::span<const std::int32_t> part,
+                                     std::size_t first, std::size_t last, int scale) {
+  scene::CountRecord record;
+  record.n = last - first;
+  record.id_sum = 0;
+  if (particles.weight != nullptr && first != last)
+    record.weights = scene::WeightCount{scale, std::numeric_limits<double>::infinity(), 0, 0, {}};
   std::map<std::int32_t, std::pair<std::uint64_t, u128>> sums;
-  std::uint64_t id_sum = 0;
-  std::uint64_t as_zero = 0;
-  double least = std::numeric_limits<double>::infinity();
-  double greatest = 0;
   for (std::size_t i = first; i < last; ++i) {
     auto& [count, load] = sums[part[i]];
     ++count;
-    id_sum += mix64(static_cast<std::uint64_t>(particles.id_of(i)));
-    if (particles.weight == nullptr) continue;
+    *record.id_sum += mix64(static_cast<std::uint64_t>(particles.id_of(i)));
+    if (!record.weights) continue;
     const double weight = particles.weight[i];
     const u128 scaled = scaled_weight(weight, scale);
     load += scaled;
-    as_zero += scaled == 0 && weight > 0 ? 1 : 0;
-    least = std::min(least, weight);
-    greatest = std::max(greatest, weight);
+    record.weights->as_zero += scaled == 0 && weight > 0 ? 1 : 0;
+    record.weights->least = std::min(record.weights->least, weight);
+    record.weights->greatest = std::max(record.weights->greatest, weight);
   }
-  std::vector<std::int32_t> parts;
-  std::vector<std::uint64_t> counts;
-  std::vector<std::uint64_t> halves;
   for (const auto& [p, sum] : sums) {
-    parts.push_back(p);
-    counts.push_back(sum.first);
-    halves.push_back(static_cast<std::uint64_t>(sum.second));
-    halves.push_back(static_cast<std::uint64_t>(sum.second >> 64U));
+    record.parts.push_back(p);
+    record.counts.push_back(sum.first);
+    if (record.weights) record.weights->loads.push_back(sum.second);
   }
-  CountRequest request{{{"n", last - first}, {"id_sum", wire::hex64(id_sum)}}, {}};
-  request.arrays.push_back(array_of("part", "<i4", parts));
-  request.arrays.push_back(array_of("count", "<u8", counts));
-  if (particles.weight == nullptr || first == last) return request;
-  request.json.update({{"scale", scale}, {"least", least}, {"greatest", greatest}, {"weights_as_zero", as_zero}});
-  request.arrays.push_back(array_of("load", "<u8", halves, 2));
-  return request;
+  return record;
+}
+
+// As it arrives.
+inline Result<scene::CountRecord> received(scene::CountRecord record) {
+  const std::string bytes = wire::encode(record);
+  auto decoded = wire::decode_count_record(std::as_bytes(std::span(bytes)));
+  if (!decoded.ok()) return decoded.status();
+  static_cast<wire::CountRecord&>(record) = std::move(*decoded);
+  return record;
 }
 
 // The scale that these weights need, as the ranks find it.
@@ -103,11 +90,11 @@ inline std::string in_words(const scene::CountVerdict& verdict) {
 }
 
 // Counts a step, of which each seat brings its share.
-inline std::string ask(scene::Ledger& ledger, const std::vector<CountRequest>& seats) {
+inline std::string ask(scene::Ledger& ledger, const std::vector<scene::CountRecord>& seats) {
   scene::Tally tally(0, seats.size());
   Result<scene::CountRecord> record = Status(Code::internal, "no seats");
   for (std::size_t seat = 0; seat < seats.size(); ++seat) {
-    record = scene::read_count(seats[seat].json, seats[seat].arrays);
+    record = received(seats[seat]);
     if (!record.ok()) return fmt::format("malformed {}", code_name(record.status().code()));
     tally.put(seat, *record);
   }

@@ -18,6 +18,7 @@
 namespace rcb::testing {
 namespace {
 
+using scene::CountRecord;
 using scene::Ledger;
 using scene::SceneOptions;
 using scene::Stepped;
@@ -176,7 +177,7 @@ class TwoLedgers {
   std::string count() {
     for (;;) {
       look();
-      const std::vector<CountRequest> seats = requests();
+      const std::vector<CountRecord> seats = requests();
       const scene::SceneState& now = lazy().now();
       const auto due = now.weights ? scale_needed(world_.set.view()) : std::nullopt;
       const std::string before = picture(lazy());
@@ -235,45 +236,47 @@ class TwoLedgers {
     if (cuts_.epoch > 0) cuts_.tree.classify(world_.set.view(), part_.span());
     drifted_ = part_known_ && !flows() ? std::optional(differences(part_, last_part_)) : std::nullopt;
   }
-  std::vector<CountRequest> requests() {
+  std::vector<CountRecord> requests() {
     const std::size_t n = world_.set.count();
     std::size_t count = chance(random_, 3) ? 2 + random_.below(3) : 1;
-    std::vector<CountRequest> seats;
+    std::vector<CountRecord> seats;
     std::uint64_t come = come_, go = go_;  // that the seats to come tell
     for (std::size_t seat = 0, first = 0; seat < count; ++seat) {
       const std::size_t last = seat + 1 == count ? n : first + random_.below(n - first + 1);
-      seats.push_back(count_rows(world_.set.view(), part_.span(), std::exchange(first, last), last, scale_));
-      Json& json = seats.back().json;
-      json.update({{"session", session_}, {"step", step_}, {"epoch", cuts_.epoch}});
-      json.update({{"hash", wire::hex64(cuts_.hash)}, {"incarnation", wire::hex64(kIncarnation)}});
-      if (drifted_) json["drifted"] = count > 1 ? 0 : *drifted_;  // a seat doesn't know where its rows were
-      if (seconds_) json["step_seconds"] = seat == 0 ? *seconds_ : 0;
-      if (count == 1 && !tells_ids_ && !flows()) json["id_sum"] = nullptr;
+      CountRecord& one =
+          seats.emplace_back(count_rows(world_.set.view(), part_.span(), std::exchange(first, last), last, scale_));
+      one.session = session_;
+      one.step = step_;
+      one.incarnation = kIncarnation;
+      one.epoch = cuts_.epoch;
+      one.hash = cuts_.hash;
+      if (drifted_) one.drifted = count > 1 ? 0 : *drifted_;  // a seat doesn't know where its rows were
+      if (seconds_) one.step_seconds = seat == 0 ? *seconds_ : 0;
+      if (count == 1 && !tells_ids_ && !flows()) one.id_sum.reset();
       const bool all = seat + 1 == count;  // the seats before it tell some
-      json["inserted"] = std::exchange(come, all ? 0 : random_.below(come + 1));
-      json["inserted"] = json["inserted"].get<std::uint64_t>() - come;
-      json["removed"] = std::exchange(go, all ? 0 : random_.below(go + 1));
-      json["removed"] = json["removed"].get<std::uint64_t>() - go;
+      one.inserted = all ? come : random_.below(come + 1);
+      one.removed = all ? go : random_.below(go + 1);
+      come -= one.inserted;
+      go -= one.removed;
     }
     if (count > 1) drifted_.reset();
     return seats;
   }
 
-  static std::vector<CountRequest> at_step(std::vector<CountRequest> seats, std::int64_t step) {
-    for (CountRequest& seat : seats) seat.json.update({{"step", step}, {"session", "another"}});
+  static std::vector<CountRecord> at_step(std::vector<CountRecord> seats, std::int64_t step) {
+    for (CountRecord& seat : seats) {
+      seat.step = step;
+      seat.session = "another";
+    }
     return seats;
   }
 
   // Asks something that must change nothing, made of counts that could be committed.
-  void disturb(std::vector<CountRequest> seats, std::optional<int> due) {
+  void disturb(std::vector<CountRecord> seats, std::optional<int> due) {
     if (world_.set.count() == 0) seats.resize(1);
     std::size_t at = random_.below(seats.size());  // with particles: what the others counted by doesn't matter
-    while (seats.size() > 1 && seats[at].json["n"] == 0) at = (at + 1) % seats.size();
-    CountRequest& one = seats[at];
-    const auto set_all = [&seats](const char* name, const Json& value) {
-      for (CountRequest& seat : seats) seat.json[name] = value;
-    };
-    const bool any = !one.arrays[0].bytes.empty();
+    while (seats.size() > 1 && seats[at].n == 0) at = (at + 1) % seats.size();
+    CountRecord& one = seats[at];
     std::string expected = "refused not_conserved";
     const std::uint64_t fault = random_.below(seen_.faults.size());
     const std::uint64_t k = random_.below(numbers_.size());
@@ -283,82 +286,73 @@ class TwoLedgers {
         expected = "refused stale_step";
         break;
       case 1:
-        set_all("step", numbers_[k]);
-        set_all("session", sessions_[k]);
+        for (CountRecord& seat : seats) {
+          seat.step = numbers_[k];
+          seat.session = sessions_[k];
+        }
         expected = k < remembered_ ? "refused stale_step" : fmt::format("repeated {}", k);
         break;
       case 2:
-        one.json["hash"] = wire::hex64(cuts_.hash ^ 1U);
+        one.hash ^= 1U;
         expected = "other cuts";
         break;
       case 3:
-        one.json["epoch"] = cuts_.epoch - 1;
+        --one.epoch;
         expected = "other cuts";
         break;
       case 4:
-        set_all("incarnation", wire::hex64(kIncarnation + 1));
+        for (CountRecord& seat : seats) ++seat.incarnation;
         expected = "refused not_found";
         break;
-      case 5: {  // one particle more
-        CountRequest more = count_rows(world_.set.view(), part_.span(), 0, world_.set.count(), scale_);
-        more.json.update(seats[0].json);
-        more.json.update({{"n", world_.set.count() + 1}, {"inserted", come_}, {"removed", go_}});
-        std::vector<std::uint64_t> counts(more.arrays[1].bytes.size() / 8 + (world_.set.count() == 0 ? 1 : 0));
-        if (!more.arrays[1].bytes.empty())
-          std::memcpy(counts.data(), more.arrays[1].bytes.data(), more.arrays[1].bytes.size());
-        ++counts[0];
-        more.arrays[1] = array_of("count", "<u8", counts);
-        if (world_.set.count() == 0) more.arrays[0] = array_of("part", "<i4", std::vector<std::int32_t>{0});
-        if (world_.set.count() == 0 && more.arrays.size() > 2)
-          more.arrays[2] = array_of("load", "<u8", std::vector<std::uint64_t>{0, 0}, 2);
-        seats = {more};
+      case 5:  // one particle more
+        if (one.n == 0) {
+          one.parts = {0};
+          one.counts = {0};
+        }
+        ++one.counts[0];
+        ++one.n;
         break;
-      }
       case 6:  // another particle
         if (!lazy().now().id_sum || flows()) return;
-        one.json["id_sum"] = wire::hex64(random_.next());
+        one.id_sum = random_.next();
         break;
       case 7:
-        if (!any) return;
-        for (CountRequest& seat : seats) {
-          if (seat.json["n"] == 0) continue;
-          if (seat.arrays.size() > 2)
-            seat.arrays.pop_back();
+        if (one.n == 0) return;
+        for (CountRecord& seat : seats) {
+          if (seat.weights)
+            seat.weights.reset();
           else
-            seat.arrays.push_back(
-                array_of("load", "<u8", std::vector<std::uint64_t>(seat.arrays[0].bytes.size() / 2), 2));
-          seat.json["scale"] = lazy().now().weights ? Json() : Json(0);
+            seat.weights.emplace().loads.resize(seat.parts.size());
         }
         expected = "refused invalid_argument";
         break;
       case 8:
-        if (!due || !any) return;
-        one.json["scale"] = *due + 1;
+        if (!due || one.n == 0) return;
+        one.weights->scale = *due + 1;
         expected = fmt::format("other scale {}", *due);
         break;
       case 9:  // a load that no weights have
-        if (!due || !any) return;
-        one.arrays[2].bytes[15] = std::byte{0x80};
+        if (!due || one.n == 0) return;
+        one.weights->loads[0] = u128{1} << 127U;
         expected = "refused invalid_argument";
         break;
-      case 10: {  // a part that isn't there
-        if (!any) return;
-        const std::int32_t beyond = lazy().now().options.parts;
-        std::memcpy(one.arrays[0].bytes.data() + one.arrays[0].bytes.size() - 4, &beyond, 4);
+      case 10:  // a part that isn't there
+        if (one.n == 0) return;
+        one.parts.back() = lazy().now().options.parts;
         expected = "refused invalid_argument";
         break;
-      }
       case 11:  // comes, and isn't there
-        one.json["inserted"] = one.json["inserted"].get<std::uint64_t>() + 1;
+        ++one.inserted;
         break;
       case 12:  // comes, and nobody says which
-        if (seats.size() > 1 || !any) return;
-        one.json.update({{"inserted", come_ + 1}, {"removed", go_ + 1}, {"id_sum", nullptr}});
-        if (lazy().now().n <= go_) return;
+        if (seats.size() > 1 || one.n == 0 || lazy().now().n <= go_) return;
+        ++one.inserted;
+        ++one.removed;
+        one.id_sum.reset();
         expected = "refused invalid_argument";
         break;
       default:
-        std::swap(one.arrays[0], one.arrays[1]);
+        ++one.n;
         expected = "malformed invalid_argument";
     }
     ++seen_.faults[fault];

@@ -142,7 +142,7 @@ class Life {
     if (chance(random_, 4)) ledger.take(scene::Asked{"quality"});
     const std::vector<particles::Id> had(world_->set.id.begin(), world_->set.id.end());
     if (ledger.now().step && chance(random_, 12)) world_->exchange(random_);
-    if (ledger.now().step && count(ledger, changes(had))) return;
+    if (ledger.now().step && count(ledger, had)) return;
     scene::Stepped stepped = ranks_.push(world_->set, step_, ledger.terms(seconds_));
     stepped.session = session_;
     stepped.step_seconds = seconds_;
@@ -151,33 +151,29 @@ class Life {
     reports_.push_back(to_json(*ledgers.take({"jet", std::move(stepped)}, 0)));
   }
 
-  // How many come and go; ids ascend.
-  Json changes(const std::vector<particles::Id>& had) const {
-    const auto now = world_->set.id.span();
-    std::vector<particles::Id> both;
-    std::ranges::set_intersection(now, had, std::back_inserter(both));
-    return {{"inserted", now.size() - both.size()}, {"removed", had.size() - both.size()}};
-  }
-
-  // Whether the step needed no more than its count.
-  bool count(Ledger& ledger, const Json& changes) {
+  // Whether the step needed no more than its count. had: the ids of the step before; ids ascend.
+  bool count(Ledger& ledger, const std::vector<particles::Id>& had) {
     const scene::SceneState& now = ledger.now();
     const auto view = world_->set.view();
     Buffer<std::int32_t> part(view.count);
     ranks_.tree().classify(view, part.span());
-    const int scale = now.weights ? scale_needed(view).value_or(0) : 0;
-    CountRequest request = count_rows(view, part.span(), 0, view.count, scale);
-    request.json.update({{"session", session_}, {"step", step_}, {"epoch", now.epoch}});
-    request.json.update({{"hash", wire::hex64(now.hash)}, {"incarnation", wire::hex64(now.incarnation)}});
-    request.json.update(changes);
-    if (seconds_) request.json["step_seconds"] = *seconds_;
-    auto record = scene::read_count(request.json, request.arrays);
-    EXPECT_TRUE(record.ok()) << record.status().message();
-    record->sessions = sessions();
-    const auto verdict = ledger.count(*record);
+    scene::CountRecord record =
+        count_rows(view, part.span(), 0, view.count, now.weights ? scale_needed(view).value_or(0) : 0);
+    std::vector<particles::Id> both;
+    std::ranges::set_intersection(world_->set.id.span(), had, std::back_inserter(both));
+    record.session = session_;
+    record.step = step_;
+    record.incarnation = now.incarnation;
+    record.epoch = now.epoch;
+    record.hash = now.hash;
+    record.inserted = view.count - both.size();
+    record.removed = had.size() - both.size();
+    record.step_seconds = seconds_;
+    record.sessions = sessions();
+    const auto verdict = ledger.count(record);
     const auto* done = std::get_if<scene::CountVerdict::Committed>(&verdict.is);
     EXPECT_TRUE(done != nullptr || std::holds_alternative<scene::CountVerdict::Send>(verdict.is));
-    if (done != nullptr) seats_ = record->sessions.size();
+    if (done != nullptr) seats_ = record.sessions.size();
     if (done != nullptr) reports_.push_back(to_json(done->report));
     return done != nullptr;
   }

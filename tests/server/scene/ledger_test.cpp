@@ -52,7 +52,7 @@ struct Pushed {
     ledger->take(std::move(stepped));
   }
   scene::CountVerdict count(std::int64_t step, const std::vector<std::uint64_t>& counts) {
-    scene::CountRecord record{"run", step, 5, 1, 0};
+    scene::CountRecord record{{step, 5, 1, 0}, "run"};
     record.step_seconds = seconds;
     for (std::size_t p = 0; p < counts.size(); ++p) {
       record.n += counts[p];

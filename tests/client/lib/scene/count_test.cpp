@@ -1,7 +1,6 @@
 // Steps that are counts, with a service that is late, gone, has other cuts, or wants the positions.
 #include <array>
 #include <atomic>
-#include <cstring>
 #include <map>
 #include <numeric>
 #include <random>
@@ -72,34 +71,20 @@ std::uint64_t changed_between(std::int64_t before, std::int64_t now) {
   return changed;
 }
 
-template <typename T>
-std::vector<T> raw_values(const Received& frame, std::size_t k, const char* name, const char* dtype) {
-  const protocol::Array& array = frame.arrays.at(k);
-  EXPECT_EQ(array.name, name);
-  EXPECT_EQ(array.dtype, dtype);
-  std::vector<T> values(array.bytes.size() / sizeof(T));
-  std::memcpy(values.data(), array.bytes.data(), values.size() * sizeof(T));
-  return values;
-}
-
 // Against the formula.
-void expect_count(const Received& request, std::int64_t step, const protocol::Json& drifted) {
-  EXPECT_EQ(request.json["step"], step);
-  EXPECT_EQ(request.json["n"], kRowsCounted);
-  EXPECT_EQ(request.json["incarnation"], "00000000000000ab");
-  EXPECT_EQ(request.json["drifted"], drifted);
-  std::map<std::int32_t, std::uint64_t> expected;
+void expect_count(const wire::CountRecord& record, std::int64_t step, std::optional<std::uint64_t> drifted) {
+  EXPECT_EQ(record.step, step);
+  EXPECT_EQ(record.n, kRowsCounted);
+  EXPECT_EQ(record.incarnation, 0xabU);
+  EXPECT_EQ(record.drifted, drifted);
+  std::map<std::int32_t, std::uint64_t> expected, told;
   std::uint64_t id_sum = 0;
   for (std::size_t i = 0; i < kRowsCounted; ++i) {
     ++expected[part_counted(static_cast<std::int64_t>(i), step)];
     id_sum += mix64(i);
   }
-  EXPECT_EQ(request.json["id_sum"], protocol::hex64(id_sum));
-  const auto parts = raw_values<std::int32_t>(request, 0, "part", "<i4");
-  const auto counts = raw_values<std::uint64_t>(request, 1, "count", "<u8");
-  ASSERT_EQ(parts.size(), counts.size());
-  std::map<std::int32_t, std::uint64_t> told;
-  for (std::size_t k = 0; k < parts.size(); ++k) told[parts[k]] = counts[k];
+  EXPECT_EQ(record.id_sum, id_sum);
+  for (std::size_t k = 0; k < record.parts.size(); ++k) told[record.parts[k]] = record.counts[k];
   EXPECT_EQ(told, expected);
 }
 
@@ -171,9 +156,9 @@ TEST(CountedStep, CountsAnewByOtherCuts) {
   EXPECT_EQ(of.scene->cuts()->epoch(), 3U);
   of.end();
   ASSERT_EQ(of.fake.counted.size(), 3U);
-  EXPECT_EQ(of.fake.counted[1].json["epoch"], 1);
-  EXPECT_EQ(of.fake.counted[2].json["epoch"], 3);
-  expect_count(of.fake.counted[2], 2, nullptr);
+  EXPECT_EQ(of.fake.counted[1].epoch, 1U);
+  EXPECT_EQ(of.fake.counted[2].epoch, 3U);
+  expect_count(of.fake.counted[2], 2, std::nullopt);
 }
 
 TEST(CountedStep, PushesWherePositionsAreWanted) {
@@ -219,17 +204,16 @@ TEST(CountedStep, OfOtherRowsIsCountedAnew) {
   of.end();
   ASSERT_EQ(of.fake.counted.size(), 3U);
   expect_count(of.fake.counted[0], 1, changed_between(0, 1));
-  expect_count(of.fake.counted[1], 2, nullptr);
-  for (const std::size_t k : {0U, 1U})
-    EXPECT_FALSE(of.fake.counted.at(k).json.contains("inserted") || of.fake.counted.at(k).json.contains("removed"));
-  const auto& json = of.fake.counted[2].json;
-  EXPECT_EQ(json["n"], kRowsCounted - 1);
-  EXPECT_EQ(json["inserted"], 1);
-  EXPECT_EQ(json["removed"], 2);
-  EXPECT_EQ(json["drifted"], nullptr);
+  expect_count(of.fake.counted[1], 2, std::nullopt);
+  EXPECT_FALSE(of.fake.counted[0].flows() || of.fake.counted[1].flows());
+  const wire::CountRecord& last = of.fake.counted[2];
+  EXPECT_EQ(last.n, kRowsCounted - 1);
+  EXPECT_EQ(last.inserted, 1U);
+  EXPECT_EQ(last.removed, 2U);
+  EXPECT_FALSE(last.drifted.has_value());
   std::uint64_t sum = 0;
   for (std::size_t i = 0; i + 1 < ids.size(); ++i) sum += mix64(static_cast<std::uint64_t>(ids[i]));
-  EXPECT_EQ(json["id_sum"], protocol::hex64(sum));
+  EXPECT_EQ(last.id_sum, sum);
   EXPECT_EQ(of.fake.commits, 1);
   EXPECT_EQ(of.fake.begun.size(), 2U);
 }
@@ -247,20 +231,18 @@ TEST(CountedStep, WeightsAreSummedInTheScaleThatIsDue) {
   of.end();
   ASSERT_EQ(of.fake.counted.size(), 4U);
   const auto check = [&](std::size_t k, std::int64_t step, int scale) {
-    const Received& request = of.fake.counted[k];
-    EXPECT_EQ(request.json["scale"], scale);
-    EXPECT_EQ(request.json["least"], 1);
-    EXPECT_EQ(request.json["greatest"], k == 0 ? 4 : 1e9);
+    const wire::CountRecord& record = of.fake.counted[k];
+    ASSERT_TRUE(record.weights.has_value());
+    EXPECT_EQ(record.weights->scale, scale);
+    EXPECT_EQ(record.weights->least, 1);
+    EXPECT_EQ(record.weights->greatest, k == 0 ? 4 : 1e9);
     weights[17] = k == 0 ? 2.5 : 1e9;
     std::array<u128, kPartsCounted> loads{};
     for (std::size_t i = 0; i < kRowsCounted; ++i)
       loads[static_cast<std::size_t>(part_counted(static_cast<std::int64_t>(i), step))] +=
           ExactScale(scale)(weights[i]);
-    const auto parts = raw_values<std::int32_t>(request, 0, "part", "<i4");
-    const auto halves = raw_values<std::uint64_t>(request, 2, "load", "<u8");
-    ASSERT_EQ(halves.size(), 2 * parts.size());
-    for (std::size_t p = 0; p < parts.size(); ++p)
-      EXPECT_TRUE(((u128{halves[2 * p + 1]} << 64U) + halves[2 * p]) == loads[static_cast<std::size_t>(parts[p])]);
+    for (std::size_t p = 0; p < record.parts.size(); ++p)
+      EXPECT_TRUE(record.weights->loads[p] == loads[static_cast<std::size_t>(record.parts[p])]);
   };
   check(0, 1, ExactScale(4, kRowsCounted).exponent());
   check(1, 2, ExactScale(1e9, kRowsCounted).exponent());

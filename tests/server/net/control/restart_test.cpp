@@ -2,6 +2,7 @@
 // by the ledger, and lack particles until the next step brings them.
 #include <gtest/gtest.h>
 
+#include "common/wire/count_record.hpp"
 #include "tests/server/net/harness.hpp"
 #include "tests/server/scene/model.hpp"
 
@@ -168,19 +169,10 @@ TEST_F(Restart, HasACountSentThatNoPositionsAreBehind) {
   Client client = service->client("c", kAnna);
   const auto count = [&](std::int64_t step) {
     const Json shown = show(client);
-    const std::string bulk = std::string(4, '\0') + std::string(reinterpret_cast<const char*>(&n_), 8);
-    client.send(FrameType::request,
-                {{"command", "count"},
-                 {"scene", "s"},
-                 {"step", step},
-                 {"epoch", shown["epoch"]},
-                 {"hash", shown["hash"]},
-                 {"incarnation", shown["incarnation"]},
-                 {"n", n_},
-                 {"arrays",
-                  {{{"name", "part"}, {"dtype", "<i4"}, {"shape", {1}}},
-                   {{"name", "count"}, {"dtype", "<u8"}, {"shape", {1}}}}}},
-                bulk);
+    wire::CountRecord record{step, 0xabc, shown["epoch"], *wire::parse_hex64(hash_), n_};
+    record.parts = {0};
+    record.counts = {n_};
+    client.send(FrameType::request, {{"command", "count"}, {"scene", "s"}}, encode(record));
     return client.receive_but_notices().json;
   };
   EXPECT_NE(count(3).value("send", "").find("since the service was started"), std::string::npos);
