@@ -146,8 +146,9 @@ std::string examples(const std::string& subcommand) {
        {"static --json static.json --figure static.svg", "static --scenes uniform,offset --parts 8 --ranks 2",
         "static --ranks 2 --parts 8,64 --methods rcb --cut-tolerances 0 --points 1e6,2e6,4e6,8e6,16e6",
         "scaling --json scaling.json", "dynamic --json dynamic.json --figure dynamic.svg", "slope --json slope.json",
-        "step --json step.json", "memory --points 10000000 --ranks 2 --json memory.json", "skips --json skips.json",
-        "drift --json drift.json", "cuts --parts 64 --json cuts.json", "idle --ranks 8",
+        "step --json step.json", "step --hosts 2 --latency 1 --bandwidth 1",
+        "memory --points 10000000 --ranks 2 --json memory.json", "skips --json skips.json", "drift --json drift.json",
+        "cuts --parts 64 --json cuts.json", "idle --ranks 8",
         "hosts --hosts 2,3 --latency 0.5,5 --bandwidth 10,1 --json hosts.json"})
     if (line.starts_with(subcommand)) text += "  rcb_bench " + line + '\n';
   return text;
@@ -206,6 +207,8 @@ int drive(int argc, char** argv) {
     if (idle->parsed()) return run_idle(of_idle, start_document("idle", 1));
     if (drift->parsed()) return run_drift(of_drift, start_document("drift", of_drift.repeats));
     if (slope->parsed()) return run_slope(of_slope, start_document("slope", of_slope.repeats));
+    if (step->parsed() && !of_step.links.hosts.empty())
+      return run_hosts(over_links(of_step), start_document("step", of_step.repeats));
     if (step->parsed()) return run_step(of_step, start_document("step", of_step.repeats));
     if (memory->parsed()) return run_memory(of_memory, start_document("memory", 1));
     if (skips->parsed()) return run_skips(of_skips, start_document("skips", of_skips.repeats));

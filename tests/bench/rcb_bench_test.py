@@ -117,15 +117,15 @@ class Hosts(unittest.TestCase):
         document, done = measure("hosts", "--hosts", "2", "--latency", "1", "--bandwidth", "1", "--points", "5000",
                                  "--repeats", "8")  # several, since heartbeats between them are counted, too
         self.assertEqual(document["bench"], "hosts")
-        rows = {row["sent"]: row for row in document["rows"]}
-        self.assertEqual(list(rows), ["all", "none", "partition"])
-        # A count is between its solver and rank 0, on one machine. Positions are a slice, that it is whole, the order, a
-        # reduction.
-        self.assertEqual(rows["none"]["rounds"], 0)
-        self.assertGreaterEqual(rows["all"]["rounds"], 4)
-        self.assertGreater(rows["all"]["bytes"], 5000 / 2 * 24)
+        rows = {row["variant"]: row for row in document["rows"]}
+        self.assertEqual(list(rows), ["sockets", "count-members", "partition"])
+        # A count and its answer. Positions are a slice, that it is whole, the order, a reduction.
+        self.assertEqual(rows["count-members"]["rounds"], 2)
+        self.assertGreaterEqual(rows["sockets"]["rounds"], 4)
+        self.assertGreater(rows["sockets"]["bytes"], 5000 / 2 * 24)
         for row in rows.values():
             self.assertEqual([row["latency"], row["bandwidth"], row["ranks"]], [0.0005, 1.25e8, 2])
+            self.assertGreater(row["seconds"], row["seconds_within"])
             self.assertAlmostEqual(row["ratio"]["model"], row["seconds"] / row["seconds_predicted"])
         self.assertIn("2 | 1.0 ms | 1.0", done.stdout)
 

@@ -61,6 +61,7 @@ Status run_hosts(const HostsOptions& options, const Json& document) {
   if (!options.latency.empty()) words.insert(words.end(), {"--latency", list_of(options.latency)});
   if (!options.bandwidth.empty()) words.insert(words.end(), {"--bandwidth", list_of(options.bandwidth)});
   if (options.keep_windows) words.emplace_back("--keep-windows");
+  if (options.counts_alone) words.emplace_back("--counts-alone");
   if (!options.json.empty()) words.insert(words.end(), {"--json", options.json});
   std::vector<char*> argv;
   for (std::string& word : words) argv.push_back(word.data());

@@ -19,6 +19,7 @@ struct HostsOptions {
   double points = 100000;
   int repeats = 15;
   bool keep_windows = false;
+  bool counts_alone = false;  // rcb_bench step --hosts: no step that sends, and no partition
   std::string json;
 };
 

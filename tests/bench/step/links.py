@@ -20,7 +20,7 @@ With --keep-windows TCP does not begin anew after a pause (net.ipv4.tcp_slow_sta
 `rcb_bench hosts` is this program.
 
     tests/bench/step/links.py [--hosts 2,3,5] [--latency MS,...] [--bandwidth GBIT,...] [--points N] [--repeats K]
-                              [--keep-windows] [--build DIR] [--json FILE]
+                              [--keep-windows] [--counts-alone] [--build DIR] [--json FILE]
 """
 import argparse
 import itertools
@@ -37,7 +37,9 @@ ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", "..")
 sys.path.insert(0, os.path.join(ROOT, "tests", "hosts"))
 from hosts import Hosts
 
-STEPS = {"all": "sockets", "none": "count-members"}  # whose positions travel: variant of rcb_bench step
+# Variant of rcb_bench step: the machine of its solver. Rank 0 is on a; a solver that counts is put on another one, so that
+# its messages cross a link.
+STEPS = {"sockets": "a", "count-members": "b"}
 DIMS, PARTS = 3, 8  # of the scene `moving` of rcb_bench step
 SETTINGS = [(0, 10), (0.5, 10), (1, 10), (5, 10), (1, 1), (1, 0.1)]  # round trip in ms, Gbit/s
 COUNTED_AT = 0.04  # seconds from machine to machine
@@ -71,13 +73,15 @@ ASKING = 8  # connections at least, so that all processors are busy
 class Bench:
     def __init__(self, hosts, told):
         self.hosts, self.told = hosts, told
+        self.steps_of = ["count-members"] if told.counts_alone else list(STEPS)
+        self.kinds = self.steps_of + ([] if told.counts_alone else ["partition"])
         self.environment = hosts.environment(RCBD_BIN_DIR=hosts.shared,
                                              RCBD_ENDPOINT="file:" + os.path.join(hosts.shared, "where"))
         for program in ("rcbd", "rcbctl", "rcb_bench"):
             shutil.copy(os.path.join(told.build, "bin", program), hosts.shared)
 
-    def run(self, program, *args):
-        return self.hosts.run("a", os.path.join(self.hosts.shared, program), *args, env=self.environment, check=True,
+    def run(self, program, *args, machine="a"):
+        return self.hosts.run(machine, os.path.join(self.hosts.shared, program), *args, env=self.environment, check=True,
                               stdout=subprocess.PIPE, text=True).stdout
 
     def up(self, *ranks):
@@ -85,21 +89,22 @@ class Bench:
                  "--data-dir", os.path.join(self.hosts.shared, "data"),
                  "--publish", self.environment["RCBD_ENDPOINT"].removeprefix("file:"))
 
-    def steps(self, kinds, repeats):
-        """The median seconds of each kind of step: the least would be those of a step with fewer messages than most."""
+    def step(self, variant, repeats, machine):
+        """The median seconds of a step: the least would be those of a step with fewer messages than most."""
         file = os.path.join(self.hosts.shared, "steps.json")
-        self.run("rcb_bench", "step", "--scenes", "moving", "--variants", ",".join(STEPS[kind] for kind in kinds),
-                 "--ranks", 1, "--points", self.told.points, "--services", self.environment["RCBD_ENDPOINT"],
-                 "--repeats", repeats, "--json", file)
+        self.run("rcb_bench", "step", "--scenes", "moving", "--variants", variant, "--ranks", 1, "--points", self.told.points,
+                 "--services", self.environment["RCBD_ENDPOINT"], "--repeats", repeats, "--json", file, machine=machine)
         with open(file) as written:
-            return dict(zip(kinds, [row["seconds"] for row in json.load(written)["rows"]]))
+            return json.load(written)["rows"][0]["seconds"]
 
     def partition(self):
         return json.loads(self.run("rcbctl", "rebalance", "step-sockets", "--json"))["seconds"]
 
-    def seconds(self):
-        found = self.steps(STEPS, self.told.repeats)
-        return found | {"partition": statistics.median(self.partition() for _ in range(self.told.repeats))}
+    def seconds(self, machines):
+        found = {variant: self.step(variant, self.told.repeats, machines[variant]) for variant in self.steps_of}
+        if "partition" in self.kinds:
+            found["partition"] = statistics.median(self.partition() for _ in range(self.told.repeats))
+        return found
 
     def links(self, delay, rate):
         for name in self.hosts.names:
@@ -115,7 +120,7 @@ class Bench:
         """(chain, frames, bytes of all links, bytes of the busiest) of each kind: what some more of them add."""
         self.links(COUNTED_AT / 2, 0)
         found = {}
-        for kind in [*STEPS, "partition"]:
+        for kind in self.kinds:
             most, counts = min(20, 2 * self.told.repeats), []
             for repeats in (1, 1 + most):
                 before = self.counts()
@@ -123,7 +128,7 @@ class Bench:
                     for _ in range(repeats):
                         self.partition()
                 else:
-                    self.steps([kind], repeats)
+                    self.step(kind, repeats, STEPS[kind])
                 counts.append([after - first for after, first in zip(self.counts(), before)])
             chain, frames, size, *sizes = [(many - few) / most for few, many in zip(*counts)]
             found[kind] = round(chain), frames, size, max(sizes)  # a heartbeat may be between two of a chain
@@ -170,13 +175,15 @@ class Bench:
             return latency, statistics.median(speeds[1:])
 
 
-def row(count, told, kind, setting, counted, predicted, seconds):
+def row(count, told, kind, setting, counted, predicted, seconds, within, latency):
+    """within: the seconds on one machine; latency: as measured."""
     trip, rate = setting
     chain, frames, _, size = counted
     return {"scene": "moving", "n": int(told.points), "dims": DIMS, "parts": PARTS, "ranks": count, "hosts": count,
-            "tool": "rcbd", "method": "rcb", "work": "partition" if kind == "partition" else "step", "sent": kind,
+            "tool": "rcbd", "method": "rcb", "work": "partition" if kind == "partition" else "step", "variant": kind,
             "cut_tolerance": 0, "latency": trip / 2000, "bandwidth": rate * 1e9 / 8, "rounds": chain, "frames": frames,
-            "bytes": size, "seconds": seconds, "seconds_predicted": predicted, "ratio": {"model": seconds / predicted}}
+            "bytes": size, "seconds": seconds, "seconds_within": within, "seconds_predicted": predicted,
+            "round_trips": (seconds - within) / (2 * latency), "ratio": {"model": seconds / predicted}}
 
 
 def measure(count, told):
@@ -189,7 +196,7 @@ def measure(count, told):
         echoes = [subprocess.Popen(hosts.command(name, sys.executable, "-c", ECHO), stderr=subprocess.DEVNULL)
                   for name in hosts.names]
         bench.up("-n", count)
-        alone = bench.seconds()
+        alone = bench.seconds(dict.fromkeys(STEPS, "a"))
         bench.run("rcbctl", "down")
         work = bench.work()
         _, speed_within = bench.wires("a")
@@ -204,13 +211,13 @@ def measure(count, told):
         for trip, rate in told.settings:
             bench.links(trip / 2000, 1e9 * rate)
             latency, speed = bench.wires()
-            seconds = bench.seconds()
+            seconds = bench.seconds(STEPS)
             cells = []
             for kind, (chain, frames, all_links, size) in counted.items():
                 carried = max(size / speed, all_links / speed_of_all) - size / speed_within
                 predicted = alone[kind] + chain * latency + max(0, carried) + max(0, frames - chain) * work
-                rows.append(row(count, told, kind, (trip, rate), counted[kind], predicted, seconds[kind]))
-                cells.append(f"{1e3 * predicted:7.1f} {1e3 * seconds[kind]:7.1f} {seconds[kind] / predicted:5.2f}")
+                rows.append(row(count, told, kind, (trip, rate), counted[kind], predicted, seconds[kind], alone[kind], latency))
+                cells.append(f"{1e3 * predicted:7.2f} {1e3 * seconds[kind]:7.2f} {seconds[kind] / predicted:5.2f}")
             print(f"{count} | {trip} ms | {rate} | {1e3 * latency:.3f} ms, {8e-9 * speed:.2f} | {' | '.join(cells)}",
                   flush=True)
         bench.run("rcbctl", "down")
@@ -227,6 +234,7 @@ def main():
     parser.add_argument("--points", default="100000")
     parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--keep-windows", action="store_true")
+    parser.add_argument("--counts-alone", action="store_true", help="no step that sends, and no partition")
     parser.add_argument("--build", default=os.path.join(ROOT, "build", "release"))
     parser.add_argument("--json")
     parser.add_argument("--document", type=json.loads, default={"bench": "hosts"}, help=argparse.SUPPRESS)
@@ -236,7 +244,7 @@ def main():
         lists = [[float(word) for word in (words or "").split(",") if word] for words in (told.latency, told.bandwidth)]
         told.settings = list(itertools.product(lists[0] or [0.5], lists[1] or [10]))
     print(f"machines | round trip | Gbit/s | measured latency, Gbit/s | predicted ms, measured ms, ratio: "
-          f"{' | '.join([*STEPS, 'partition'])}")
+          f"{' | '.join(['count-members'] if told.counts_alone else [*STEPS, 'partition'])}")
     rows = [row for count in told.hosts.split(",") for row in measure(int(count), told)]
     if told.json:
         with open(told.json, "w") as written:

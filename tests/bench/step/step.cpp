@@ -243,8 +243,22 @@ CLI::App* add_step(CLI::App& app, StepBenchOptions& options) {
   command->add_option("--members", options.seats, "of the parallel solver")->capture_default_str();
   command->add_option("--repeats", options.repeats, "timed steps of each variant")->capture_default_str();
   command->add_option("--points", options.points, "particles of every scene, instead of its own number");
+  add_list(
+      *command, "--hosts", options.links.hosts,
+      "count-members alone, over links: numbers of machines, rank 0 on the first, the solver on the second (as root)");
+  add_list(*command, "--latency", options.links.latency, "with --hosts: round trips between machines, in milliseconds");
+  add_list(*command, "--bandwidth", options.links.bandwidth, "with --hosts: of a link, in Gbit/s");
   command->add_option("--json", options.json, "write the result to this file");
   return command;
+}
+
+HostsOptions over_links(const StepBenchOptions& options) {
+  HostsOptions links = options.links;
+  links.points = options.points > 0 ? options.points : static_cast<double>(kStepScenes[0].n);
+  links.repeats = options.repeats;
+  links.json = options.json;
+  links.counts_alone = true;
+  return links;
 }
 
 Status run_step(const StepBenchOptions& options, Json document) {

@@ -16,6 +16,7 @@
 
 #include "common/base/status.hpp"
 #include "tests/bench/json.hpp"
+#include "tests/bench/step/hosts.hpp"
 #include "tests/bench/step/step_pusher.hpp"
 
 namespace rcb::bench {
@@ -31,9 +32,12 @@ struct StepBenchOptions {
   int repeats = 15;
   double points = 0;  // of every scene; 0: its own number
   std::string json;
+  HostsOptions links{.hosts = {}};  // of --hosts: `count-members` alone, over links
 };
 
 CLI::App* add_step(CLI::App& app, StepBenchOptions& options);
+// What `rcb_bench hosts` is to do for --hosts.
+HostsOptions over_links(const StepBenchOptions& options);
 // `document`: what is told of machine and commit; rows are added. Writes and prints.
 Status run_step(const StepBenchOptions& options, Json document);
 
