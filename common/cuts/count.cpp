@@ -13,8 +13,8 @@
 
 #include "common/base/cpu.hpp"
 #include "common/base/index.hpp"
-#include "common/base/random.hpp"
 #include "common/cuts/calls.hpp"
+#include "common/cuts/id_sum.hpp"
 #include "common/cuts/owner_pass.hpp"
 #include "common/particles/value_fault.hpp"
 
@@ -281,12 +281,9 @@ void CountPass::scale(std::size_t first, std::size_t count) {
 }
 
 Status CountPass::add_ids(std::size_t first, std::size_t count) {
-  particles::Id sign = 0;
-  for (const particles::Id id : options_.ids.subspan(first, count)) {
-    sums_.id_sum += mix64(static_cast<std::uint64_t>(id) + *options_.id_key);
-    sign |= id;
-  }
-  return sign < 0 ? fault(first, count) : Status();
+  const IdSums ids = sum_ids(options_.ids.subspan(first, count), *options_.id_key);
+  sums_.id_sum += ids.any_order;
+  return ids.negative ? fault(first, count) : Status();
 }
 
 // What is wrong with the first of these rows that isn't right.

@@ -178,16 +178,13 @@ std::int32_t OwnerPass::expect(std::size_t begin, std::size_t count, std::int32_
   std::int32_t expected = before_;
   if (!last_part_.empty()) {
     const std::int32_t* const last = last_part_.data() + begin;
-    std::int32_t other = 0;
+    const bool one = all_equal(last, count);
     std::uint32_t most = 0;
-    for (std::size_t i = 0; i < count; ++i) {
-      other |= last[i] ^ last[0];
-      most = std::max(most, static_cast<std::uint32_t>(last[i]));
-    }
+    for (std::size_t i = 0; i < (one ? 1 : count); ++i) most = std::max(most, static_cast<std::uint32_t>(last[i]));
     if (most < static_cast<std::uint32_t>(tables_.tree.parts)) {  // else they are no parts of these cuts
       expected = last[0];
-      if (other != 0 && part != last) std::copy_n(last, count, part);
-      if (other != 0) return -1;
+      if (!one && part != last) std::copy_n(last, count, part);
+      if (!one) return -1;
       if (part == last) return expected;
     }
   }
@@ -234,6 +231,10 @@ Status OwnerPass::read(std::size_t begin, std::size_t count, std::int32_t* part)
     if (undecided == 0) return {};
   }
   if (Status status = check_finite(begin, count); !status) return status;
+  if (!was_hinted)
+    unhinted_ = std::max(unhinted_ - 1, 0);
+  else if (!last_part_.empty() && undecided > count / 2)
+    unhinted_ = kUnhinted;
   if (undecided > kFew || !was_hinted) {
     for (std::size_t a = 0; a < at(positions_.dims); ++a)
       if (x_[a] != batch_.axis(a)) std::copy_n(x_[a], count, batch_.axis(a));

@@ -72,14 +72,17 @@ Status CountStep::count(const cuts::Cuts& cuts, const CountedRows& rows, std::op
   options.weights = rows.weights;
   options.scale = scale.value_or(scale_.value_or(0));
   scale_told_ = scale_told_ || scale;
+  if (rows.id_sums.negative) options.id_key = 0;  // the pass says which
   for (bool again = false;; again = true) {
-    if (!id_sum_) options.id_key = 0;
     if (Status status = pass(cuts, rows, last, options); !status) return status;
-    if (!id_sum_) id_sum_ = rows.ids.empty() ? sum_of_rows(count_.n) : count_.id_sum;
     const int due = count_.greatest > 0 ? ExactScale(count_.greatest, count_.n).exponent() : options.scale;
     if (again || scale || scale_told_ || due == options.scale) break;
     options.scale = due;  // most often it is that of the step before
   }
+  if (!rows.ids.empty())
+    id_sum_ = rows.id_sums.any_order;
+  else if (!id_sum_)
+    id_sum_ = sum_of_rows(count_.n);
   scale_ = options.scale;
   weighted_ = rows.weighted;
   counted_ = true;

@@ -16,6 +16,7 @@
 #include "client/lib/scene/scene_cuts.hpp"
 #include "client/lib/session/session.hpp"
 #include "common/cuts/count.hpp"
+#include "common/cuts/id_sum.hpp"
 #include "common/wire/message.hpp"
 
 namespace rcb::client {
@@ -24,6 +25,7 @@ namespace rcb::client {
 struct CountedRows {
   Positions positions;
   std::span<const std::int64_t> ids;  // empty: the row is the id
+  cuts::IdSums id_sums;
   std::span<const double> weights;
   bool weighted = false;  // the scene has weights
   int threads = 1;

@@ -26,7 +26,7 @@ namespace rcb::client {
 // Tells rows of the same particles in the same order from others.
 struct RowsId {
   std::size_t count = 0;
-  std::uint64_t ids = 0;  // a checksum
+  cuts::IdSums ids;
   bool operator==(const RowsId&) const = default;
 };
 

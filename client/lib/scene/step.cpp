@@ -9,6 +9,8 @@
 #include "client/lib/session/content.hpp"
 #include "common/base/axis_names.hpp"
 #include "common/cuts/halo.hpp"
+#include "common/cuts/id_sum.hpp"
+#include "common/layout/layout.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::client {
@@ -22,21 +24,18 @@ std::vector<PartChange> differences(std::span<const std::int32_t> before, std::s
 }
 
 std::vector<LeavingRow> leaving_rows(std::span<const std::int32_t> part, int parts, const SeatOptions& seat) {
+  constexpr std::size_t kTogether = 64;  // few leave, so rows are looked at together
+  const layout::PartRange own = layout::parts_of_rank(seat.seat, parts, seat.seats);
+  const auto leaves = [own](std::int32_t p) { return p < own.begin || p >= own.end; };
   std::vector<LeavingRow> leaving;
-  std::int32_t before = -1;  // the part of the row before
-  int to = seat.seat;
-  for (std::size_t row = 0; row < part.size(); ++row) {
-    if (std::exchange(before, part[row]) != part[row]) to = cuts::seat_of_part(part[row], parts, seat.seats);
-    if (to != seat.seat) leaving.push_back({row, to});
+  for (std::size_t first = 0; first < part.size(); first += kTogether) {
+    const auto rows = part.subspan(first, std::min(kTogether, part.size() - first));
+    int some = 0;
+    for (const std::int32_t p : rows) some |= leaves(p);
+    for (std::size_t i = 0; some != 0 && i < rows.size(); ++i)
+      if (leaves(rows[i])) leaving.push_back({first + i, cuts::seat_of_part(rows[i], parts, seat.seats)});
   }
   return leaving;
-}
-
-RowsId rows_id(const Positions& positions, std::span<const std::int64_t> ids) {
-  if (ids.empty()) return {positions.count, 0};
-  Content content;
-  content.add(ids);
-  return {positions.count, content.value()};
 }
 
 }  // namespace
@@ -90,7 +89,8 @@ std::span<const double> Scene::State::weights_of(const StepRequest& ask) const {
 }
 
 CountedRows Scene::State::rows_of(const StepRequest& ask) const {
-  return {ask.positions, ask.options.ids, weights_of(ask), has_weights_, std::max(ask.options.threads, scene_.threads)};
+  return {ask.positions,   ask.options.ids, ask.rows.ids,
+          weights_of(ask), has_weights_,    std::max(ask.options.threads, scene_.threads)};
 }
 
 Result<StepResult> Scene::State::step(const Positions& positions, const StepOptions& options) {
@@ -99,9 +99,8 @@ Result<StepResult> Scene::State::step(const Positions& positions, const StepOpti
   // Another client may have made it anew, with other dimensions.
   if (replaced_ && options.deadline_seconds > 0)
     if (Status status = open(retry); !status) return status;
-  StepRequest ask{positions, options, {}};
+  const StepRequest ask{positions, options, {positions.count, cuts::sum_ids(options.ids, 0)}};
   if (Status fits = check(ask); !fits) return fits;
-  ask.rows = rows_id(positions, options.ids);
   const auto content = [&ask] { return content_of(ask); };
   const bool again = unanswered_.is_pushed_again(options.step, content);
   if (unanswered_ && !again)
@@ -164,7 +163,7 @@ bool Scene::State::can_count(const StepRequest& ask) const {
 }
 
 Result<std::optional<Answer>> Scene::State::step_by_count(const StepRequest& ask, std::int64_t step,
-                                                         const Retry& retry) {
+                                                          const Retry& retry) {
   if (!can_count(ask)) return std::optional<Answer>();
   return counted_.ask({session(), name_, incarnation_, step, last_step_, ask.options, seated()}, rows_of(ask), cuts_,
                       retry);
