@@ -163,6 +163,9 @@ struct StepOptions {
   std::uint64_t inserted = 0, removed = 0;
   // Computing time of the solver since its last step, here; the policy "cost" decides by that of the slowest seat.
   std::optional<double> step_seconds{};
+  // Pushes the positions even where a count would do, so that questions about them are answered as of this step: for
+  // the last one of a run. Several seats all say it; where only some do, the others count first and are told to push.
+  bool send = false;
   bool want_parts = false;    // fill StepResult::parts
   bool want_changes = false;  // fill StepResult::changes
   int threads = 1;            // for counting, and for finding parts

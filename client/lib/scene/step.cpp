@@ -157,14 +157,14 @@ Result<bool> Scene::State::needs_unanswered(const Retry& retry) {
 }
 
 bool Scene::State::can_count(const StepRequest& ask) const {
-  if (!when_needed_ || !last_step_) return false;
+  if (!when_needed_ || !last_step_ || ask.options.send) return false;
   const bool ids_fit = !(has_ids_ || ask.flows()) || !ask.options.ids.empty();
   const bool weights_fit = weights_of(ask).empty() != has_weights_;
   return ask.positions.count == 0 || (ids_fit && weights_fit);
 }
 
 Result<std::optional<Answer>> Scene::State::step_by_count(const StepRequest& ask, std::int64_t step,
-                                                         const Retry& retry) {
+                                                          const Retry& retry) {
   if (!can_count(ask)) return std::optional<Answer>();
   return counted_.ask({session(), name_, incarnation_, step, last_step_, ask.options, seated()}, rows_of(ask), cuts_,
                       retry);
