@@ -212,11 +212,12 @@ class Client {
   ~Client();  // says goodbye
 
   Status create_scene(const std::string& name, const SceneOptions& options);
-  // The scene stays open as long as the Scene lives, which must not outlive the Client. One Scene for each scene: a
-  // step number that another one of this client has pushed is refused (stale_step). With seats > 1 takes the seat of a
-  // scene that one of the processes, or another client, has created; a process that is started again takes it anew, and
-  // goes on from the last step. Errors: not_found, busy (another client has the seat and keeps it until the deadline,
-  // or this client has the scene open otherwise), invalid_argument (another number of seats than the others say).
+  // The scene stays open as long as the Scene lives, which must not outlive the Client. A scene that is dropped, or
+  // made anew, is another one (not_found): open that. One Scene for each scene: a step number that another one of this
+  // client has pushed is refused (stale_step). With seats > 1 takes the seat of a scene that one of the processes, or
+  // another client, has created; a process that is started again takes it anew, and goes on from the last step. Errors:
+  // not_found, busy (another client has the seat and keeps it until the deadline, or this client has the scene open
+  // otherwise), invalid_argument (another number of seats than the others say).
   Result<Scene> open_scene(const std::string& name, const SeatOptions& options = {});
   Status drop_scene(const std::string& name);
   Status shutdown_service();

@@ -90,15 +90,11 @@ std::span<const double> Scene::State::weights_of(const StepRequest& ask) const {
 }
 
 CountedRows Scene::State::rows_of(const StepRequest& ask) const {
-  return {ask.positions, ask.options.ids, weights_of(ask), has_weights_, std::max(ask.options.threads, scene_.threads)};
+  return {ask.positions, ask.options.ids, weights_of(ask), has_weights_, std::max(ask.options.threads, threads_)};
 }
 
 Result<StepResult> Scene::State::step(const Positions& positions, const StepOptions& options) {
-  forget_if_replaced();
   Retry retry(options.deadline_seconds);
-  // Another client may have made it anew, with other dimensions.
-  if (replaced_ && options.deadline_seconds > 0)
-    if (Status status = open(retry); !status) return status;
   StepRequest ask{positions, options, {}};
   if (Status fits = check(ask); !fits) return fits;
   ask.rows = rows_id(positions, options.ids);
@@ -172,10 +168,7 @@ Result<std::optional<Answer>> Scene::State::step_by_count(const StepRequest& ask
 
 Result<StepResult> Scene::State::try_step(const StepRequest& ask, std::int64_t step, const Retry& retry) {
   way_ = Way::gateway;
-  const bool was_held = held();
   if (Status status = hold(retry); !status) return status;
-  if (!was_held)
-    if (Status fits = check(ask); !fits) return fits;
   const bool tried_before = unanswered_.begin(step);
   const bool committed = tried_before && last_step_ == step;
   auto answer = committed ? Result<std::optional<Answer>>(std::nullopt) : step_by_count(ask, step, retry);
