@@ -122,14 +122,9 @@ Result<StepResult> Scene::State::step_until_deadline(const StepRequest& ask, std
   const auto once = [&] { return try_step(ask, step, retry); };
   const auto mend = [&](const Status& status) {
     switch (status.code()) {
-      case Code::aborted: {
-        // A rank's connection was lost, and the push with it: retry on another path, if the caller leaves the choice.
-        // Or another seat lost its connection: that one reconnects, and all push again.
-        const bool data_lost = session().data_lost();
+      case Code::aborted:  // a rank's connection was lost, or another seat's: all push again
         arrays_.share_again();
-        return (data_lost || session().outlive()) &&
-               session().wait(retry, status, fmt::format("scene '{}': {}", name_, status.message())).ok();
-      }
+        return session().wait(retry, status, fmt::format("scene '{}': {}", name_, status.message())).ok();
       case Code::unsupported:
       case Code::too_large:
       case Code::io_error:
