@@ -163,6 +163,9 @@ struct StepOptions {
   std::uint64_t inserted = 0, removed = 0;
   // Computing time of the solver since its last step, here; the policy "cost" decides by that of the slowest seat.
   std::optional<double> step_seconds{};
+  // Pushes the positions even where a count would do, so that questions about them are answered as of this step: for
+  // the last one of a run. Several seats all say it; where only some do, the others count first and are told to push.
+  bool send = false;
   bool want_parts = false;    // fill StepResult::parts
   bool want_changes = false;  // fill StepResult::changes
   int threads = 1;            // for counting, and for finding parts
@@ -209,11 +212,12 @@ class Client {
   ~Client();  // says goodbye
 
   Status create_scene(const std::string& name, const SceneOptions& options);
-  // The scene stays open as long as the Scene lives, which must not outlive the Client. One Scene for each scene: a
-  // step number that another one of this client has pushed is refused (stale_step). With seats > 1 takes the seat of a
-  // scene that one of the processes, or another client, has created; a process that is started again takes it anew, and
-  // goes on from the last step. Errors: not_found, busy (another client has the seat and keeps it until the deadline,
-  // or this client has the scene open otherwise), invalid_argument (another number of seats than the others say).
+  // The scene stays open as long as the Scene lives, which must not outlive the Client. A scene that is dropped, or
+  // made anew, is another one (not_found): open that. One Scene for each scene: a step number that another one of this
+  // client has pushed is refused (stale_step). With seats > 1 takes the seat of a scene that one of the processes, or
+  // another client, has created; a process that is started again takes it anew, and goes on from the last step. Errors:
+  // not_found, busy (another client has the seat and keeps it until the deadline, or this client has the scene open
+  // otherwise), invalid_argument (another number of seats than the others say).
   Result<Scene> open_scene(const std::string& name, const SeatOptions& options = {});
   Status drop_scene(const std::string& name);
   Status shutdown_service();

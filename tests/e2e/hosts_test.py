@@ -75,7 +75,8 @@ class HostsTest(MachinesTest):
             self.assertEqual(steps, alone)
         for name, processes in (("a", "a:1,b:1,c:1"), ("b", "c:2,a:1"), ("c", "b:1,d:1"), ("d", "d:3")):
             done = self.on(name, "mpirun", "--allow-run-as-root", "--bind-to", "none", "--oversubscribe", "--host", processes,
-                           "-x", "RCBD_ENDPOINT", "-x", "RCBD_TOKEN_FILE", os.path.join(self.bin, "slope_mpi"), *slope, "--check")
+                           "-x", "RCBD_ENDPOINT", "-x", "RCBD_TOKEN_FILE", os.path.join(self.bin, "slope_mpi"), *slope,
+                           "--positions", "every-step", "--check")
             self.assertEqual(done.returncode, 0, f"on {name}: {done.stdout}{done.stderr}\n{self.log()}")
         self.down()
 
@@ -123,8 +124,9 @@ class HostsTest(MachinesTest):
             alone = alone or steps
             self.assertEqual(steps, alone)
             done = self.on("a", os.path.join(self.bin, "mpirun"), 3, os.path.join(self.bin, "slope_mpi"), "--points", 1000,
-                           "--steps", 6, "--interval", 0.3, "--parts", 6, "--check", "--json", endpoint=endpoint,
-                           RCBD_PATH=path, RCBD_TOKEN_FILE="", check=True)
+                           "--steps", 6, "--interval", 0.3, "--parts", 6, "--positions", "every-step",
+                           "--check", "--json", endpoint=endpoint, RCBD_PATH=path, RCBD_TOKEN_FILE="",
+                           check=True)
             ways = {report["way"] for report in json.loads(done.stdout)["reports"]}
             self.assertLessEqual(ways, {"endpoint", way}, path)
             self.assertIn(way, ways)

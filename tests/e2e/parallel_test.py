@@ -403,7 +403,8 @@ class Seats(ServiceTest):
 
     def solver(self, service, processes, scene, path, steps=8):
         command = [MPIRUN, str(processes), os.path.join(BIN, "slope_mpi"), "--points", "1500", "--interval", "0.3",
-                   "--parts", "6", "--tolerance", "0.02", "--steps", str(steps), "--scene", scene, "--json", "--check"]
+                   "--parts", "6", "--tolerance", "0.02", "--steps", str(steps), "--scene", scene,
+                   "--positions", "every-step", "--json", "--check"]
         return subprocess.Popen(command, env=dict(os.environ, RCBD_ENDPOINT=service.endpoint, RCBD_PATH=path),
                                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 

@@ -24,16 +24,16 @@ class SlopeMpi(unittest.TestCase):
         cls.service = Service(4)
         cls.addClassCleanup(cls.service.stop)
 
-    def run_on(self, processes, scene, *more):
+    def run_on(self, processes, scene, *more, tolerance=0.02):
         file = os.path.join(self.service.dir, f"{scene}.npy")
-        done = solver(self.service, processes, "--steps", STEPS, "--parts", 6, "--tolerance", 0.02, "--scene", scene,
+        done = solver(self.service, processes, "--steps", STEPS, "--parts", 6, "--tolerance", tolerance, "--scene", scene,
                       "--trajectory", file, "--json", "--check", *more)
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         return json.loads(done.stdout), np.load(file)
 
     def test_four_processes_compute_what_one_does(self):
-        alone, path = self.run_on(1, "alone")
-        four, path_of_four = self.run_on(4, "four")
+        alone, path = self.run_on(1, "alone", "--positions", "every-step")
+        four, path_of_four = self.run_on(4, "four", "--positions", "every-step")
         self.assertEqual(path.shape, (STEPS + 1, POINTS, 3))
         moved = np.abs(path[-1] - path[0]).max()
         self.assertGreater(moved, 1.0)  # metres: it slides
@@ -59,13 +59,31 @@ class SlopeMpi(unittest.TestCase):
         self.assertEqual([r["n"] for r in four["reports"]], [POINTS] * (STEPS + 1))
 
     def test_bands_and_steps_that_are_counted(self):
-        sent, path = self.run_on(3, "sent", "--method", "bands-x")
-        counted, path_of_counted = self.run_on(3, "counted", "--method", "bands-x", "--positions", "when-needed")
+        sent, path = self.run_on(3, "sent", "--method", "bands-x", "--positions", "every-step")
+        counted, path_of_counted = self.run_on(3, "counted", "--method", "bands-x")
         self.assertEqual(self.service.json("scene", "show", "sent")["method"], "bands-x")
         np.testing.assert_array_equal(path_of_counted, path)
         self.assertIn(False, [report["sent"] for report in counted["reports"]])
         for field in ("held", "handed_over", "energy", "momentum", "error_max", "repartitions"):
             self.assertEqual(counted[field], sent[field], field)
+
+    def test_the_service_answers_for_the_end_of_a_run(self):
+        for processes in (1, 4):
+            scene = f"end-{processes}"
+            run, path = self.run_on(processes, scene, tolerance="inf")
+            self.assertEqual([report["sent"] for report in run["reports"]], [True] + [False] * (STEPS - 1) + [True])
+            shown, quality = self.service.json("scene", "show", scene), self.service.json("quality", scene)
+            self.assertEqual((shown["positions"], shown["positions_step"]), ("when-needed", STEPS))
+            self.assertEqual(quality["positions_step"], STEPS)
+            folder = os.path.join(self.service.dir, scene)
+            exported = self.service.json("export", scene, folder, "--format", "npy")
+            self.assertEqual(exported["positions_step"], STEPS)
+            np.testing.assert_array_equal(np.load(os.path.join(folder, "positions.npy")), path[-1])
+            assigned = self.service.json("assign", scene, "--out", os.path.join(folder, "assigned.npy"))
+            self.assertEqual(assigned["positions_step"], STEPS)
+            parts = np.load(os.path.join(folder, "assigned.npy"))
+            held = np.bincount(((parts + 1) * processes - 1) // 6, minlength=processes)
+            self.assertEqual(run["held"], held.tolist())
 
     def test_a_solver_that_is_killed_leaves_the_scene_to_the_next(self):
         running = solver(self.service, 2, "--steps", 100000, "--scene", "killed", wait=False)

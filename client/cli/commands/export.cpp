@@ -152,7 +152,8 @@ Status export_scene(const ExportOptions& options, const Context& context) {
   return show(context,
               {{"scene", options.name},
                {"n", answer.json.at("n")},
-               {"step", answer.json.at("positions_step")},
+               {"step", answer.json.at("positions_step")},  // an older name of the same
+               {"positions_step", answer.json.at("positions_step")},
                {"epoch", answer.json.at("epoch")},
                {"files", files}},
               [&] {

@@ -69,16 +69,13 @@ Status Client::create_scene(const std::string& name, const SceneOptions& options
   }
   if (const auto made = state_->session->call(std::move(request), wire::kDeadlineSecondsDefault); !made)
     return made.status();
-  state_->begin_run(name, KnownScene{options.dims, options.threads});
+  state_->threads[name] = options.threads;
   return {};
 }
 
 Status Client::drop_scene(const std::string& name) {
   if (Status status = wire::check_scene_name(name); !status) return status;
-  const auto dropped =
-      state_->session->call({{"command", "scene.drop"}, {"scene", name}}, wire::kDeadlineSecondsDefault);
-  if (dropped) state_->begin_run(name, {});
-  return dropped.status();
+  return state_->session->call({{"command", "scene.drop"}, {"scene", name}}, wire::kDeadlineSecondsDefault).status();
 }
 
 Status Client::shutdown_service() {
@@ -94,12 +91,8 @@ Result<Reply> Client::call(const std::string& command, const std::string& argume
   if (!request)
     return Status(Code::invalid_argument, fmt::format("arguments of '{}': {}", command, request.status().message()));
   (*request)["command"] = command;
-  const wire::Json begun = command == "scene.create" || command == "scene.drop" ? *request : wire::Json();
   auto frame = state_->session->call(std::move(*request), deadline_seconds);
   if (!frame) return frame.status();
-  if (const auto scene = wire::string_field(begun, "scene", 256); scene)
-    state_->begin_run(*scene,
-                      command == "scene.create" ? std::optional(KnownScene{begun.value("dims", 3)}) : std::nullopt);
   Reply reply{std::move(frame->text), {}};
   reply.arrays.reserve(frame->arrays.size());
   for (wire::Array& array : frame->arrays)

@@ -17,7 +17,8 @@ bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) 
   // Ranks on other hosts get their rows over sockets. It is worth while if few positions are copied for nothing.
   const auto worth_while = [&] {
     const std::size_t apart = session().ranks_apart().size();
-    const bool few_copies = arrays_.gave(ask.positions) || 2 * apart <= static_cast<std::size_t>(session().ranks());
+    const bool few_copies = arrays_.gave(columns_of(ask.positions, {}, {}), ask.positions.count) ||
+                            2 * apart <= static_cast<std::size_t>(session().ranks());
     return apart == 0 || path == Path::shared || (ask.large() && few_copies);
   };
   // Where the connections to the ranks are opened it may turn out that more of them are apart.
@@ -145,12 +146,7 @@ Result<Frame> Scene::State::send(wire::Json begin, const StepRequest& ask, RankR
     begin["path"] = "direct";
     return session().exchange_directly(request, begin, rows, columns, what, deadline);
   }
-  auto memory = arrays_.describe(session(),
-                                 {.positions = ask.positions,
-                                  .weights = values.weights,
-                                  .ids = values.ids,
-                                  .listed = way_ == Way::shared ? count : 0},
-                                 deadline);
+  auto memory = arrays_.describe(session(), columns, count, way_ == Way::shared ? count : 0, deadline);
   if (!memory) return memory.status();
   begin["path"] = "shared";
   begin["memory"] = std::move(*memory);

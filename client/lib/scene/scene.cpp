@@ -54,11 +54,8 @@ Result<Scene> Client::open_scene(const std::string& name, const SeatOptions& opt
 }
 
 Scene::State::State(std::shared_ptr<Client::State> client, std::string name, const SeatOptions& seat)
-    : client_(std::move(client)),
-      name_(std::move(name)),
-      seat_(seat),
-      scene_(client_->known(name_)),
-      run_(client_->run_of(name_)) {
+    : client_(std::move(client)), name_(std::move(name)), seat_(seat) {
+  if (const auto made = client_->threads.find(name_); made != client_->threads.end()) threads_ = made->second;
   open_scenes().insert(name_);
 }
 
@@ -75,24 +72,7 @@ void Scene::State::close(const Retry& retry) const {
   static_cast<void>(session().call_once({{"command", "scene.close"}, {"scene", name_}}, retry));
 }
 
-void Scene::State::forget_if_replaced() {
-  const std::uint64_t run = client_->run_of(name_);
-  if (std::exchange(run_, run) == run) return;
-  replaced_ = true;
-  scene_ = client_->known(name_);
-  dims_ = scene_.dims.value_or(dims_);
-  has_ids_ = has_weights_ = when_needed_ = false;
-  epoch_ = 0;
-  last_step_.reset();
-  unanswered_ = {};
-  cuts_ = {};
-  counted_ = {};
-  weights_.clear();
-  told_.clear();
-}
-
 Result<cuts::Cuts> Scene::State::current_cuts(double deadline_seconds) {
-  forget_if_replaced();
   return cuts_.current(epoch_, session(), name_, deadline_seconds, [this](const Retry& retry) { return hold(retry); });
 }
 
@@ -128,16 +108,8 @@ Result<Scene::State::Description> Scene::State::read_description(const wire::Jso
                 "use a client and a service of the same version");
 }
 
-Status Scene::State::same_as_before(const Description& found) const {
-  if (!last_step_ || (found.incarnation == incarnation_ && found.step)) return {};
-  return {Code::not_found,
-          fmt::format("the connection to {} was lost, and now scene '{}' is {}", session().endpoint(), name_,
-                      found.incarnation == incarnation_ ? "empty" : "another one, made anew"),
-          "create the scene, open it again, and push it from its first step"};
-}
-
 Status Scene::State::hold(const Retry& retry) {
-  if (held()) return {};
+  if (generation_ == session().generation()) return {};
   wire::Json request{{"command", "scene.open"}, {"scene", name_}};
   // The service may not have noticed yet that the previous connection was lost: a higher generation displaces it. Where
   // an answer was lost, the seat may have the generation that was asked for last.
@@ -158,12 +130,14 @@ Status Scene::State::hold(const Retry& retry) {
   if (seated() && found->generation == 0)
     return {Code::protocol_error, fmt::format("{} gave no seat of scene '{}'", session().endpoint(), name_),
             "use a client and a service of the same version"};
-  if (Status same = same_as_before(*found); !same) {
+  if (generation_ != 0 && found->incarnation != incarnation_) {
     if (seated()) close(retry);  // the seat is for others
-    return same;
+    return {Code::not_found,
+            fmt::format("the connection to {} was lost, and now scene '{}' is another one, made anew",
+                        session().endpoint(), name_),
+            "open the scene again, and push it from its first step"};
   }
   generation_ = session().generation();
-  replaced_ = false;
   seat_generation_ = found->generation;
   dims_ = found->dims;
   when_needed_ = found->when_needed;

@@ -52,14 +52,8 @@ struct Scene::State {
   // Tries until the deadline.
   Status open(Retry& retry);
   Result<StepResult> step(const Positions& positions, const StepOptions& options);
-  int dims() {
-    forget_if_replaced();
-    return dims_;
-  }
-  std::optional<std::int64_t> last_step() {
-    forget_if_replaced();
-    return last_step_;
-  }
+  int dims() const { return dims_; }
+  std::optional<std::int64_t> last_step() const { return last_step_; }
   Result<cuts::Cuts> current_cuts(double deadline_seconds);
   SharedArrays& arrays() { return arrays_; }
 
@@ -88,12 +82,8 @@ struct Scene::State {
   bool seated() const { return seat_.seats > 1; }
   std::multiset<std::string>& open_scenes() const { return seated() ? client_->seats : client_->scenes; }
   Result<Description> read_description(const wire::Json& json) const;
-  // Forgets the scene if this client has created another one in its place, or dropped it.
-  void forget_if_replaced();
-  bool held() const { return !replaced_ && generation_ == session().generation(); }
   // Opens the scene on the current connection, if it isn't open there, and checks that it is still the one pushed to.
   Status hold(const Retry& retry);
-  Status same_as_before(const Description& found) const;
   void close(const Retry& retry) const;
   // The number of the scene's last step, as the service says; none: it has had no step.
   Result<std::optional<std::int64_t>> step_in_force(const Retry& retry) const;
@@ -144,9 +134,7 @@ struct Scene::State {
   std::shared_ptr<Client::State> client_;
   std::string name_;
   SeatOptions seat_;
-  KnownScene scene_;
-  std::uint64_t run_ = 0;              // Client::State::runs, when the scene was opened
-  bool replaced_ = false;              // it is another since then, and to be opened again
+  int threads_ = 1;                    // SceneOptions::threads
   std::uint64_t generation_ = 0;       // of the connection on which the scene is open
   std::uint64_t seat_generation_ = 0;  // 0: never had the seat
   std::uint64_t seat_asked_ = 0;       // the last generation of the seat that was asked for

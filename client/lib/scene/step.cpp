@@ -90,15 +90,11 @@ std::span<const double> Scene::State::weights_of(const StepRequest& ask) const {
 
 CountedRows Scene::State::rows_of(const StepRequest& ask) const {
   return {ask.positions,   ask.options.ids, ask.rows.ids,
-          weights_of(ask), has_weights_,    std::max(ask.options.threads, scene_.threads)};
+          weights_of(ask), has_weights_,    std::max(ask.options.threads, threads_)};
 }
 
 Result<StepResult> Scene::State::step(const Positions& positions, const StepOptions& options) {
-  forget_if_replaced();
   Retry retry(options.deadline_seconds);
-  // Another client may have made it anew, with other dimensions.
-  if (replaced_ && options.deadline_seconds > 0)
-    if (Status status = open(retry); !status) return status;
   const StepRequest ask{positions, options, {positions.count, cuts::sum_ids(options.ids, 0)}};
   if (Status fits = check(ask); !fits) return fits;
   const auto content = [&ask] { return content_of(ask); };
@@ -125,14 +121,9 @@ Result<StepResult> Scene::State::step_until_deadline(const StepRequest& ask, std
   const auto once = [&] { return try_step(ask, step, retry); };
   const auto mend = [&](const Status& status) {
     switch (status.code()) {
-      case Code::aborted: {
-        // A rank's connection was lost, and the push with it: retry on another path, if the caller leaves the choice.
-        // Or another seat lost its connection: that one reconnects, and all push again.
-        const bool data_lost = session().data_lost();
+      case Code::aborted:  // a rank's connection was lost, or another seat's: all push again
         arrays_.share_again();
-        return (data_lost || session().outlive()) &&
-               session().wait(retry, status, fmt::format("scene '{}': {}", name_, status.message())).ok();
-      }
+        return session().wait(retry, status, fmt::format("scene '{}': {}", name_, status.message())).ok();
       case Code::unsupported:
       case Code::too_large:
       case Code::io_error:
@@ -156,7 +147,7 @@ Result<bool> Scene::State::needs_unanswered(const Retry& retry) {
 }
 
 bool Scene::State::can_count(const StepRequest& ask) const {
-  if (!when_needed_ || !last_step_) return false;
+  if (!when_needed_ || !last_step_ || ask.options.send) return false;
   const bool ids_fit = !(has_ids_ || ask.flows()) || !ask.options.ids.empty();
   const bool weights_fit = weights_of(ask).empty() != has_weights_;
   return ask.positions.count == 0 || (ids_fit && weights_fit);
@@ -171,10 +162,7 @@ Result<std::optional<Answer>> Scene::State::step_by_count(const StepRequest& ask
 
 Result<StepResult> Scene::State::try_step(const StepRequest& ask, std::int64_t step, const Retry& retry) {
   way_ = Way::gateway;
-  const bool was_held = held();
   if (Status status = hold(retry); !status) return status;
-  if (!was_held)
-    if (Status fits = check(ask); !fits) return fits;
   const bool tried_before = unanswered_.begin(step);
   const bool committed = tried_before && last_step_ == step;
   auto answer = committed ? Result<std::optional<Answer>>(std::nullopt) : step_by_count(ask, step, retry);

@@ -16,16 +16,6 @@ constexpr std::size_t kFrameBytes = std::size_t{1} << 20U;
 constexpr int kSendBufferBytes = 1 << 20;
 constexpr int kPollMillisecondsMax = 100;  // longest delay in noticing an early answer while all sockets are full
 
-// Whether the columns are one (n, dims) array: column k is element k of each row.
-bool interleaved(std::span<const Column> columns) {
-  for (std::size_t k = 0; k < columns.size(); ++k)
-    if (columns[k].stride != columns.size() || columns[k].bytes != columns[0].bytes ||
-        static_cast<const std::byte*>(columns[k].first) !=
-            static_cast<const std::byte*>(columns[0].first) + k * columns[k].bytes)
-      return false;
-  return columns.size() == 2 || columns.size() == 3;
-}
-
 // The axes of these rows of one (n, dims) array, axis after axis.
 template <std::size_t kDims, typename T>
 void gather_rows(const void* first, const Rows& rows, std::byte* out) {

@@ -23,7 +23,20 @@ void gather_wide(const Column& column, const Rows& rows, std::byte* to) {
 }  // namespace
 
 void gather(const Column& column, const Rows& rows, std::byte* to) {
+  if (const std::byte* const own = column.in_place(rows)) {
+    std::memcpy(to, own, rows.count * column.bytes);
+    return;
+  }
   (column.bytes == sizeof(double) ? gather_wide<sizeof(double)> : gather_wide<sizeof(float)>)(column, rows, to);
+}
+
+bool interleaved(std::span<const Column> columns) {
+  for (std::size_t k = 0; k < columns.size(); ++k)
+    if (columns[k].stride != columns.size() || columns[k].bytes != columns[0].bytes ||
+        static_cast<const std::byte*>(columns[k].first) !=
+            static_cast<const std::byte*>(columns[0].first) + k * columns[k].bytes)
+      return false;
+  return columns.size() == 2 || columns.size() == 3;
 }
 
 std::vector<Column> columns_of(const Positions& positions, std::span<const double> weights,

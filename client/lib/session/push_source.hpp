@@ -55,6 +55,9 @@ struct Column {
 // Copies the values of these rows.
 void gather(const Column& column, const Rows& rows, std::byte* to);
 
+// Whether the columns are one (n, dims) array: column k is element k of each row.
+bool interleaved(std::span<const Column> columns);
+
 // The axes, double or float32, and what else isn't empty.
 std::vector<Column> columns_of(const Positions& positions, std::span<const double> weights,
                                std::span<const std::int64_t> ids);

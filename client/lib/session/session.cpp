@@ -214,7 +214,7 @@ Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
   data_addresses_.clear();
   local_addresses_.clear();
   data_tried_ = false;
-  data_stalls_ = 0;
+  data_failures_ = 0;
   share_refused_ = false;
   const auto reply = greet(connection_, endpoint, std::string(kEndpointListener), deadline);
   if (!reply) return reply.status();

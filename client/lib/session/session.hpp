@@ -122,8 +122,6 @@ class Session {
   Result<Frame> exchange_directly(std::uint64_t request, const wire::Json& begin, const RankRows& rows,
                                   std::span<const Column> columns, const std::string& what, const Deadline& deadline);
   Path path() const { return options_.path; }
-  // True once after a push whose direct path broke; the next push takes another path, or new connections.
-  bool data_lost();
   // Sends one command and returns its answer; waits for a lost service.
   Result<Frame> call(wire::Json request, double deadline_seconds);
   // One attempt of call() on the current connection, for use in retry_until_deadline().
@@ -163,6 +161,7 @@ class Session {
   Result<std::unique_ptr<Connection>> open_link(std::size_t rank, const Deadline& deadline);
   // Sends every rank on this host a request over data(), with a descriptor unless it is -1, and waits for all answers.
   Status ask_ranks(const wire::Json& request, int descriptor, const Deadline& deadline);
+  // Of data(). New connections are tried once, then the endpoint, if the caller leaves the choice.
   void give_up_data();
   Status lost_connection() const;
 
@@ -185,8 +184,7 @@ class Session {
   bool share_refused_ = false;  // by a rank of the service that was connected to last
   std::int64_t next_memory_ = 1;
   bool data_tried_ = false;  // to open it, on this connection
-  bool data_broke_ = false;  // since the last push began
-  int data_stalls_ = 0;      // pushes over data() in a row that met their deadline
+  int data_failures_ = 0;    // in a row, of data()
   std::string token_;        // the one that was accepted
 };
 

@@ -43,7 +43,7 @@ Result<std::unique_ptr<Connection>> Session::open_link(std::size_t rank, const D
 }
 
 DataPath* Session::data(const Deadline& deadline) {
-  if (data_ && !data_->stands()) data_.reset(), data_tried_ = false;
+  if (data_ && !data_->stands()) give_up_data();
   if (!data_ && !data_tried_ && data_addresses_.size() == static_cast<std::size_t>(ranks_)) {
     data_tried_ = true;
     static_cast<void>(open_data(deadline.within(options_.deadline_seconds)));
@@ -113,15 +113,9 @@ Status Session::no_data() {
           "leave the path to the library, or see rcbctl status"};
 }
 
-bool Session::data_lost() {
-  if (data_ && !data_->stands()) give_up_data();
-  return std::exchange(data_broke_, false);
-}
-
 void Session::give_up_data() {
-  data_broke_ = true;
   data_.reset();
-  data_tried_ = options_.path != Path::direct;
+  data_tried_ = ++data_failures_ > 1 && options_.path != Path::direct;
 }
 
 Result<Frame> Session::exchange_directly(std::uint64_t request, const wire::Json& begin, const RankRows& rows,
@@ -145,13 +139,9 @@ Result<Frame> Session::exchange_directly(std::uint64_t request, const wire::Json
       return Status(Code::aborted, "a connection to a rank was lost");
     }
   auto answer = await_answer_to(request, what, deadline);
-  // Perhaps the network has forgotten a connection without a word. New ones are tried once, then the endpoint.
-  if (answer.status().code() == Code::deadline_exceeded) {
-    data_.reset();
-    data_tried_ = ++data_stalls_ > 1 && options_.path != Path::direct;
-  } else if (answer) {
-    data_stalls_ = 0;
-  }
+  if (answer) data_failures_ = 0;
+  // Perhaps the network has forgotten a connection without a word.
+  if (answer.status().code() == Code::deadline_exceeded) give_up_data();
   return answer;
 }
 

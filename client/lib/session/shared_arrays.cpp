@@ -1,12 +1,11 @@
 #include "client/lib/session/shared_arrays.hpp"
 
-#include <array>
+#include <algorithm>
 #include <cstring>
 #include <utility>
 
 #include <fmt/format.h>
 
-#include "common/base/axis_names.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::client {
@@ -14,53 +13,8 @@ namespace {
 
 constexpr std::size_t kPage = 4096;
 
-// The values of an axis as they lie in the caller's memory.
-struct Axis {
-  const std::byte* first;
-  std::size_t stride;  // bytes
-};
-
-Axis axis_of(const Positions& positions, std::size_t axis) {
-  if (positions.single())
-    return {reinterpret_cast<const std::byte*>(positions.axis_f4[axis]), positions.stride * sizeof(float)};
-  return {reinterpret_cast<const std::byte*>(positions.axis[axis]), positions.stride * sizeof(double)};
-}
-
-std::size_t width_of(const Positions& positions) { return positions.single() ? sizeof(float) : sizeof(double); }
-
-// Bytes of an axis in an array of its own, rounded up so that what follows is aligned.
-std::size_t axis_bytes(const Positions& positions) { return (positions.count * width_of(positions) + 7) / 8 * 8; }
-
-template <typename T>
-void copy_strided(const Axis& from, std::size_t count, std::byte* to) {
-  for (std::size_t i = 0; i < count; ++i) std::memcpy(to + i * sizeof(T), from.first + i * from.stride, sizeof(T));
-}
-
-// Copies the positions to `to`, and returns where their axes are there: an array [count][dims] stays one.
-std::array<Axis, 3> copy_axes(const Positions& positions, std::byte* to) {
-  const auto dims = static_cast<std::size_t>(positions.dims);
-  const std::size_t width = width_of(positions);
-  std::array<Axis, 3> from{}, copies{};
-  bool rows = dims > 1 && positions.stride == dims;
-  for (std::size_t a = 0; a < dims; ++a) {
-    from[a] = axis_of(positions, a);
-    rows = rows && from[a].first == from[0].first + a * width;
-  }
-  if (rows) std::memcpy(to, from[0].first, positions.count * dims * width);
-  for (std::size_t a = 0; a < dims; ++a) {
-    if (rows) {
-      copies[a] = {to + a * width, dims * width};
-      continue;
-    }
-    std::byte* const axis = to + a * axis_bytes(positions);
-    copies[a] = {axis, width};
-    if (from[a].stride == width)
-      std::memcpy(axis, from[a].first, positions.count * width);
-    else
-      (width == sizeof(float) ? copy_strided<float> : copy_strided<double>)(from[a], positions.count, axis);
-  }
-  return copies;
-}
+// Of a column in an array of its own, rounded up so that what follows is aligned.
+std::size_t column_bytes(const Column& column, std::size_t count) { return (count * column.bytes + 7) / 8 * 8; }
 
 }  // namespace
 
@@ -140,13 +94,11 @@ Result<SharedArrays::Room> SharedArrays::make_given(std::size_t count, int dims,
   return Room{first_given(), order == Order::rows ? point_bytes_ : capacity_ * width};
 }
 
-bool SharedArrays::gave(const Positions& positions) const {
-  const std::size_t width = width_of(positions);
-  if (positions.count == 0 || positions.stride * width > wire::kSharedStrideMax) return false;
-  const std::size_t reach = ((positions.count - 1) * positions.stride + 1) * width;  // from an axis's first byte on
-  for (std::size_t a = 0; a < static_cast<std::size_t>(positions.dims); ++a)
-    if (!given_.covers(axis_of(positions, a).first, reach)) return false;
-  return true;
+bool SharedArrays::gave(std::span<const Column> axes, std::size_t count) const {
+  return std::ranges::all_of(axes, [&](const Column& axis) {
+    const std::size_t reach = ((count - 1) * axis.stride + 1) * axis.bytes;  // from its first byte on
+    return count > 0 && axis.stride * axis.bytes <= wire::kSharedStrideMax && given_.covers(axis.first, reach);
+  });
 }
 
 Result<std::span<std::uint64_t>> SharedArrays::row_list(std::size_t count) {
@@ -154,14 +106,14 @@ Result<std::span<std::uint64_t>> SharedArrays::row_list(std::size_t count) {
   return std::span(reinterpret_cast<std::uint64_t*>(lists_.memory.writable().data()), count);
 }
 
-Result<wire::Json> SharedArrays::describe(Session& session, const Values& values, const Deadline& deadline) {
-  const Positions& positions = values.positions;
-  const auto dims = static_cast<std::size_t>(positions.dims);
-  const bool in_place = gave(positions);
-  const std::size_t copied =
-      (in_place ? 0 : dims * axis_bytes(positions)) + 8 * (values.weights.size() + values.ids.size());
+Result<wire::Json> SharedArrays::describe(Session& session, std::span<const Column> columns, std::size_t count,
+                                          std::size_t listed, const Deadline& deadline) {
+  const auto axes = columns.first(static_cast<std::size_t>(std::ranges::count_if(columns, &Column::is_axis)));
+  const bool in_place = gave(axes, count);
+  std::size_t copied = 0;
+  for (const Column& column : columns.subspan(in_place ? axes.size() : 0)) copied += column_bytes(column, count);
   if (Status status = make_room(copies_, copied); !status) return status;
-  if (values.listed > 0)
+  if (listed > 0)
     if (Status status = share(lists_, session, deadline); !status) return status;
   if (in_place)
     if (Status status = share(given_, session, deadline); !status) return status;
@@ -169,33 +121,27 @@ Result<wire::Json> SharedArrays::describe(Session& session, const Values& values
     if (Status status = share(copies_, session, deadline); !status) return status;
 
   wire::Json arrays = wire::Json::array();
-  const auto add = [&arrays](const Block& block, const char* name, const Axis& at) {
-    arrays.push_back({{"name", name},
-                      {"number", block.number},
-                      {"offset", static_cast<std::size_t>(at.first - block.memory.bytes().data())},
-                      {"stride", at.stride}});
+  const auto add = [&arrays](const Block& block, const std::string& name, const void* first, std::size_t stride) {
+    const auto offset = static_cast<const std::byte*>(first) - block.memory.bytes().data();
+    arrays.push_back({{"name", name}, {"number", block.number}, {"offset", offset}, {"stride", stride}});
   };
   std::byte* to = copies_.memory.writable().data();
-  std::array<Axis, 3> copies{};
-  if (!in_place) {
-    copies = copy_axes(positions, to);
-    to += dims * axis_bytes(positions);
+  const bool rows = !in_place && interleaved(axes);  // these stay one array, which is copied in one pass
+  if (rows) std::memcpy(to, axes[0].first, count * particle_bytes(axes));
+  for (const Column& column : columns) {
+    if (in_place && column.is_axis()) {
+      add(given_, column.name, column.first, column.stride * column.bytes);
+    } else if (rows && column.is_axis()) {
+      const auto at = static_cast<const std::byte*>(column.first) - static_cast<const std::byte*>(axes[0].first);
+      add(copies_, column.name, copies_.memory.bytes().data() + at, particle_bytes(axes));
+      to += column_bytes(column, count);
+    } else {
+      gather(column, {.count = count}, to);
+      add(copies_, column.name, to, column.bytes);
+      to += column_bytes(column, count);
+    }
   }
-  for (std::size_t a = 0; a < dims; ++a)
-    in_place ? add(given_, kAxisNames[a], axis_of(positions, a)) : add(copies_, kAxisNames[a], copies[a]);
-  const auto copy = [&to](const auto& list) {
-    if (!list.empty()) std::memcpy(to, list.data(), list.size() * 8);
-    to += list.size() * 8;
-  };
-  if (!values.weights.empty()) {
-    add(copies_, "w", {to, 8});
-    copy(values.weights);
-  }
-  if (!values.ids.empty()) {
-    add(copies_, "id", {to, 8});
-    copy(values.ids);
-  }
-  if (values.listed > 0) add(lists_, "row", {lists_.memory.bytes().data(), 8});
+  if (listed > 0) add(lists_, "row", lists_.memory.bytes().data(), 8);
   return arrays;
 }
 

@@ -7,6 +7,7 @@
 #include <span>
 #include <vector>
 
+#include "client/lib/session/push_source.hpp"
 #include "client/lib/session/session.hpp"
 #include "common/base/buffer.hpp"
 #include "common/files/shared_memory.hpp"
@@ -33,20 +34,15 @@ class SharedArrays {
     return axes;
   }
 
-  // What a push brings: the positions, and what else isn't empty.
-  struct Values {
-    const Positions& positions;
-    std::span<const double> weights = {};
-    std::span<const std::int64_t> ids = {};
-    std::size_t listed = 0;  // how many rows row_list() holds
-  };
   // Memory for the list that says, rank after rank, which rows each is to take. Errors: too_large, io_error.
   Result<std::span<std::uint64_t>> row_list(std::size_t count);
-  // The field "memory" of such a push. Copies what isn't in the arrays given out, and shares memory with the ranks
-  // where that wasn't done on these connections. Errors: of Session::share, io_error.
-  Result<wire::Json> describe(Session& session, const Values& values, const Deadline& deadline);
-  // Whether these positions are in the arrays given out.
-  bool gave(const Positions& positions) const;
+  // The field "memory" of a push of these columns, of `count` rows each, and of as many rows of row_list() as are
+  // listed. Copies what isn't in the arrays given out, and shares memory with the ranks where that wasn't done on these
+  // connections. Errors: of Session::share, io_error.
+  Result<wire::Json> describe(Session& session, std::span<const Column> columns, std::size_t count, std::size_t listed,
+                              const Deadline& deadline);
+  // Whether these axes, of `count` positions, are in the arrays given out.
+  bool gave(std::span<const Column> axes, std::size_t count) const;
   // The next push shares its memory anew.
   void share_again() { given_.anew = copies_.anew = lists_.anew = true; }
   // The ranks are to forget the memory.

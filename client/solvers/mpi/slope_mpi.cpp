@@ -59,7 +59,8 @@ void declare(CLI::App& app, MpiOptions& o) {
   app.add_option("--deadline", o.deadline_seconds, "seconds that one push may take")->check(CLI::Range(1e-3, 3600.0));
   add_outlive_option(app, o.outlive);
   app.add_flag("--check", o.check,
-               "after every step ask the service which process each point belongs to, and fail where another holds it");
+               "after each step that was sent ask the service which process each point belongs to, and fail where "
+               "another holds it");
   app.add_flag("--json", o.json, "one JSON document on standard output instead of the summary");
   app.add_option("--unit-weight", o.slope.unit_weight, "of the sediment, submerged, N/m^3")->group("Physics");
   app.add_option("--friction-angle", o.slope.friction_angle, "of the sediment, degrees")->group("Physics");
@@ -141,6 +142,7 @@ Status push(Seat& seat, const MpiOptions& options, MpiCores& cores, Mpm& mpm, st
   with.step = step;
   with.ids = mpm.id();
   if (step > 0) with.step_seconds = work.computing;
+  with.send = step == options.steps;  // rcbctl then answers for the end of the run
   with.deadline_seconds = options.deadline_seconds;
   const SteadyClock clock;
   const double begin = clock.seconds();

@@ -18,7 +18,7 @@ struct MpiOptions {
   int parts = 8;
   std::string method = "rcb";
   double tolerance = 0.1;
-  std::string positions = "every-step";
+  std::string positions = "when-needed";
   std::string scene = "slope";
   std::string endpoint;
   std::string trajectory;

@@ -229,6 +229,27 @@ TEST_F(SharedArraysTest, AClosedSceneSharesNoMore) {
   }
 }
 
+TEST_F(SharedArraysTest, ASceneThatWasMadeAnewIsOpenedAgain) {
+  for (const char* positions : {"every-step", "when-needed"}) {
+    Client client = connect();
+    ASSERT_TRUE(client.create_scene("anew", {.parts = 5, .positions = positions, .replace = true}).ok());
+    auto before = client.open_scene("anew");
+    const auto points = random_rows(kCount, 6);
+    for (int step = 0; step < 2; ++step) ASSERT_TRUE(before->step(Positions::rows(points.data(), kCount, 3)).ok());
+    ASSERT_TRUE(client.create_scene("anew", {.parts = 4, .dims = 2, .positions = positions, .replace = true}).ok());
+    EXPECT_EQ(before->step(Positions::rows(points.data(), kCount, 3)).status().code(), Code::not_found);
+    auto scene = client.open_scene("anew");
+    ASSERT_TRUE(scene.ok()) << scene.status().message();
+    EXPECT_EQ(scene->position_rows(kCount)->size(), 2 * kCount);
+    const auto done = scene->step(Positions::rows(points.data(), kCount, 2));
+    ASSERT_TRUE(done.ok()) << done.status().message();
+    EXPECT_EQ(done->report.step, 0);
+    EXPECT_EQ(before->step(Positions::rows(points.data(), kCount, 3)).status().code(), Code::not_found);
+    ASSERT_TRUE(client.drop_scene("anew").ok());
+    EXPECT_EQ(scene->step(Positions::rows(points.data(), kCount, 2)).status().code(), Code::not_found);
+  }
+}
+
 TEST_F(SharedArraysTest, SeatsShareTheirsWithTheRanks) {
   constexpr int kSeats = 2;
   Client maker = connect();

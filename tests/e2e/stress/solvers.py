@@ -78,4 +78,4 @@ class SlopeSeats(Solver):
 
     def command(self, choice):
         return [MPIRUN, str((2, 3, 4)[choice]), os.path.join(self.world.programs, "slope_mpi"), "--points", "1500",
-                "--parts", str((8, 6, 5)[choice]), "--tolerance", "0.02"]
+                "--parts", str((8, 6, 5)[choice]), "--tolerance", "0.02", "--positions", "every-step"]

@@ -179,6 +179,22 @@ TEST(CountedStep, PushesWherePositionsAreWanted) {
   expect_count(of.fake.counted[2], 2, changed_between(1, 2));
 }
 
+// As a run's last step is: nothing is counted for it.
+TEST(CountedStep, IsPushedAtOnceWhereTheCallerSaysSo) {
+  Counting of;
+  for (std::int64_t step = 0; step < 4; ++step) {
+    const auto done = of.step(step, {.send = step == 2});
+    ASSERT_TRUE(done.ok()) << done.status().message();
+    EXPECT_EQ(done->report.sent, step == 0 || step == 2);
+  }
+  of.end();
+  ASSERT_EQ(of.fake.begun.size(), 2U);
+  EXPECT_EQ(of.fake.begun[1]["drifted"], changed_between(1, 2));
+  ASSERT_EQ(of.fake.counted.size(), 2U);
+  expect_count(of.fake.counted[0], 1, changed_between(0, 1));
+  expect_count(of.fake.counted[1], 3, changed_between(2, 3));
+}
+
 // In the same order as before nobody needs to sum the ids again; in another the parts before are unknown. What comes or
 // goes is counted, but where no ids tell which.
 TEST(CountedStep, OfOtherRowsIsCountedAnew) {

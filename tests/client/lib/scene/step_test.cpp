@@ -626,36 +626,6 @@ TEST(Step, AnotherSceneObjectGoesOnWhereTheFirstEnded) {
   }
 }
 
-TEST(Step, AScenesOwnClientMayReplaceOrDropIt) {
-  FakeScene fake = scene_of(3, 5, 3, 20);
-  Session session(fake);
-  StepCaller caller{1000, 3, {}, {}, {}}, fewer{300, 3, {}, {}, {}};
-  for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(2 * i + 1));
-  std::vector<double> weights(300, 1.5);
-  for (const bool by_call : {false, true}) {
-    for (std::int64_t step = 0; step < 3; ++step)
-      ASSERT_TRUE(session.scene->step(caller.at(step, true), wanting(caller.ids)).ok());
-    if (by_call)
-      EXPECT_TRUE(session.client->call("scene.create", R"({"scene":"s","parts":5,"replace":true})").ok());
-    else
-      EXPECT_TRUE(session.client->create_scene("s", {.parts = 5, .replace = true}).ok());
-    EXPECT_FALSE(session.scene->last_step().has_value());
-    StepOptions first = wanting();
-    first.weights = weights;
-    const auto result = session.scene->step(fewer.at(0, true), first);
-    ASSERT_TRUE(result.ok()) << result.status().message();
-    EXPECT_EQ(result->report.step, 0);
-    expect_parts(*result, fewer, 0, 20, 5, true);
-    ASSERT_TRUE(session.client->create_scene("s", {.parts = 5, .replace = true}).ok());
-  }
-  ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting(caller.ids)).ok());
-  ASSERT_TRUE(session.client->drop_scene("s").ok());
-  EXPECT_EQ(session.scene->step(caller.at(1, true), wanting(caller.ids)).status().code(), Code::not_found);
-  session.end();
-  EXPECT_EQ(fake.weights, std::vector<double>()) << "the last scene has none";
-  EXPECT_EQ(fake.commands.back(), "scene.close") << "it was open to the end";
-}
-
 // The service answers at push.begin and reads on: the client must neither hang nor lose its place in the stream.
 TEST(Step, EarlyRefusalOfALargePush) {
   FakeScene fake = scene_of(3, 7, 7, 20);
