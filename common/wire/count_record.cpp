@@ -15,7 +15,7 @@ namespace {
 struct Head {
   std::uint64_t says;  // bits of Says; others are 0
   std::uint64_t incarnation;
-  std::int64_t step;
+  std::uint64_t step;
   std::uint64_t epoch;
   std::uint64_t hash;
   std::uint64_t n;
@@ -72,7 +72,7 @@ Status check_head(const Head& head) {
     std::uint64_t value;
     std::int64_t most;
   };
-  for (const Range& of : {Range{"step", static_cast<std::uint64_t>(head.step), kStepMax},
+  for (const Range& of : {Range{"step", head.step, kStepMax},
                           {"epoch", head.epoch, kIntegerMax},
                           {"n", head.n, kParticlesMax},
                           {"inserted", head.inserted, kParticlesMax},
@@ -126,7 +126,7 @@ std::string encode(const CountRecord& record) {
     into = *value;
   };
   head.incarnation = record.incarnation;
-  head.step = record.step;
+  head.step = static_cast<std::uint64_t>(record.step);
   head.epoch = record.epoch;
   head.hash = record.hash;
   head.n = record.n;
@@ -158,7 +158,7 @@ Result<CountRecord> decode_count_record(std::span<const std::byte> bytes) {
   const auto head = value_at<Head>(bytes, 0);
   if (Status status = check_head(head); !status.ok()) return status;
   CountRecord record;
-  record.step = head.step;
+  record.step = static_cast<std::int64_t>(head.step);
   record.incarnation = head.incarnation;
   record.epoch = head.epoch;
   record.hash = head.hash;
