@@ -60,7 +60,7 @@ Response create(Context& context, const wire::Json& request) {
                    "drop one: rcbctl scene drop NAME"});
   if (Status status = check_parts_total(context.scenes, name, options->parts); !status.ok())
     return failed(std::move(status));
-  if (exists) context.spares.push_back({name, {}});
+  context.options.spare->free(name);
   Scene& made = context.scenes.insert_or_assign(name, Scene::create(name, std::move(options).value())).first->second;
   Response response = done(wire::Json::object());
   if (context.root()) response.change = {name, scene::Created{made.options, held_of(made)}};
@@ -111,7 +111,7 @@ Response restore(Context& context, const wire::Json& request) {
 Response drop(Context& context, Scene& scene, const wire::Json&) {
   const std::string name = scene.name;
   context.scenes.erase(name);
-  context.spares.push_back({name, {}});
+  context.options.spare->free(name);
   Response response = done(wire::Json::object());
   response.change = {name, scene::Dropped{}};
   return response;

@@ -63,8 +63,6 @@ struct Scene {
   std::uint64_t search_rounds = 0;  // of the search for the current partition
   std::uint64_t search_reductions = 0;
 
-  std::vector<Buffer<std::byte>> spare;  // memory for the next push, array by array
-
   std::optional<std::int64_t> step;
   std::optional<cuts::Cuts> known_cuts;  // those of snapshot()
 

@@ -67,7 +67,7 @@ partition::Repartition search(Context& context, Scene& scene, Staged& staged, St
   options.partition = search_options(scene.options);
   options.partition.axis_hysteresis = scene.options.axis_hysteresis;
   options.partition.previous = &scene.tree;
-  options.incremental = !context.no_skip.full_search && scene.full_searches_left == 0;
+  options.incremental = !context.options.no_skip.full_search && scene.full_searches_left == 0;
   options.before_search_of_all = [&staged] {
     for (auto& axis : staged.arrays.position) axis.release();  // a full search needs as much memory
   };
@@ -178,7 +178,7 @@ bool later_step(Context& context, Scene& scene, Staged& staged, const PushReques
   bool wasted = false;
   if (decision.search)
     wasted = !try_repartition(context, scene, staged, decision, error_before, report);
-  else if (context.no_skip.search)
+  else if (context.options.no_skip.search)
     search(context, scene, staged, report);
   report.seconds.search = context.clock.seconds() - start;
   return wasted;
@@ -193,12 +193,12 @@ bool migrate(Context& context, Scene& scene, Staged& staged, bool first, StepRep
     sent = send_strangers(context.comm, scene, first);
   } else if (sent > 0) {
     send_exports(context.comm, scene, std::move(staged.exports), sent, staged.sums.from_to);
-  } else if (context.no_skip.exchange) {  // of nothing, for measurement
+  } else if (context.options.no_skip.exchange) {  // of nothing, for measurement
     const auto ranks = static_cast<std::size_t>(context.comm.size());
     context.comm.exchange(std::vector<std::span<const std::byte>>(ranks), std::vector<std::span<std::byte>>(ranks));
   }
   (report.repartitioned ? report.seconds.migrate : report.seconds.exchange) = context.clock.seconds() - start;
-  return sent > 0 || (context.no_skip.exchange && !first);
+  return sent > 0 || (context.options.no_skip.exchange && !first);
 }
 
 }  // namespace
