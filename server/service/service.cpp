@@ -101,11 +101,11 @@ Result<Scene*> find_scene(Context& context, const wire::Json& request, Needs nee
     return Status(Code::not_found, fmt::format("no scene '{}'", name.value()),
                   "'rcbctl scene list' names those that are there");
   const Scene& scene = found->second;
-  if (needs == Needs::positions && !scene.pushed && scene.epoch > 0)
+  if (needs == Needs::positions && !scene.step && scene.epoch > 0)
     return Status(Code::not_found,
                   fmt::format("the ranks hold no positions of scene '{}' since the service was started", name.value()),
                   "they come with the next step of its solver");
-  if (needs == Needs::cuts ? scene.epoch == 0 : needs == Needs::positions && !scene.pushed)
+  if (needs == Needs::cuts ? scene.epoch == 0 : needs == Needs::positions && !scene.step)
     return Status(Code::not_found, fmt::format("scene '{}' has no positions yet", name.value()), "push a step first");
   return &found->second;
 }
