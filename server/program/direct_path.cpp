@@ -95,14 +95,14 @@ net::Credentials credentials_with(std::string token) {
   return credentials;
 }
 
-net::DataOptions data_options(const Config& config, net::Credentials credentials, int rank,
-                              const ConnectionLimits& limits) {
+net::DataOptions data_options(const RankSetup& setup, net::Credentials credentials, const ConnectionLimits& limits) {
   net::DataOptions options;
   options.connections_max = limits.sessions;
   options.waiting_max = limits.waiting;
-  options.rank = rank;
+  options.rank = setup.mpi.rank();
   options.credentials = std::move(credentials);
-  options.bulk_bytes_max = bulk_bytes(config);
+  options.bulk_bytes_max = setup.service.bulk_bytes_max;
+  options.spare = setup.service.spare;
   return options;
 }
 

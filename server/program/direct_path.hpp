@@ -8,6 +8,7 @@
 #include "server/net/peers/doorbell.hpp"
 #include "server/program/config.hpp"
 #include "server/program/job.hpp"
+#include "server/program/rank.hpp"
 #include "server/ranks/mpi_session.hpp"
 
 namespace rcb::server {
@@ -35,8 +36,7 @@ DataAddresses open_direct_path(ranks::MpiSession& mpi, net::DataPort& port, cons
 net::Credentials credentials_with(std::string token);
 
 // For the listeners of this rank.
-net::DataOptions data_options(const Config& config, net::Credentials credentials, int rank,
-                              const ConnectionLimits& limits);
+net::DataOptions data_options(const RankSetup& setup, net::Credentials credentials, const ConnectionLimits& limits);
 
 // The limit on the bytes of all pushes together; the same for every rank's listeners.
 std::uint64_t bulk_bytes(const Config& config);

@@ -16,6 +16,7 @@
 #include "server/net/files/log_sink.hpp"
 #include "server/program/client_folders.hpp"
 #include "server/program/config.hpp"
+#include "server/program/direct_path.hpp"
 #include "server/program/hosts.hpp"
 #include "server/program/job.hpp"
 #include "server/program/rank.hpp"
@@ -106,7 +107,10 @@ int run(int argc, char** argv) {
     if (mpi->rank() == 0) say_failure(folders.status());
     return 1;
   }
-  const RankSetup setup{parsed.config, *mpi, hosts, *no_skip, *folders};
+  const RankSetup setup{parsed.config,
+                        *mpi,
+                        hosts,
+                        {.no_skip = *no_skip, .roots = *folders, .bulk_bytes_max = bulk_bytes(parsed.config)}};
   return mpi->rank() == 0 ? run_rank_0(setup) : run_other_rank(setup);
 }
 

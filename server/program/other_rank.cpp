@@ -31,19 +31,17 @@ int run_other_rank(const RankSetup& setup) {
   if (where.empty()) return 1;  // rank 0 has told why
   const DirectPath path = share_direct_path(mpi, {});
   net::IoLoop loop;
-  net::DataPort port(
-      loop, data_options(setup.config, credentials_with(path.token), mpi.rank(), connection_limits(mpi.size())));
+  net::DataPort port(loop, data_options(setup, credentials_with(path.token), connection_limits(mpi.size())));
   // Declared after the loop: the engine's orders hold timers of the loop.
   std::unique_ptr<net::Doorbell> doorbell;
   std::atomic<std::uint64_t> executed = 0;
   const auto word = [&executed] { return wire::Json{{"executed", executed.load()}}; };
-  ranks::EngineLoop engine(
-      kQueueOrders, {.spare = [&port](service::Spare spare) { port.recycle(spare.scene, std::move(spare.buffers)); },
-                     .executed =
-                         [&] {
-                           if (++executed % kExecutedReportEvery == 0) loop.post([&] { doorbell->tell(word()); });
-                         },
-                     .progress = [&mpi] { mpi.progress(); }});
+  ranks::EngineLoop engine(kQueueOrders, {.executed =
+                                              [&] {
+                                                if (++executed % kExecutedReportEvery == 0)
+                                                  loop.post([&] { doorbell->tell(word()); });
+                                              },
+                                          .progress = [&mpi] { mpi.progress(); }});
   auto ordered = [&engine, &port](std::uint64_t number, wire::Json request) {
     RCB_CHECK(engine.push(order_from(port, number, std::move(request))), "the engine's queue is full");
   };
@@ -64,9 +62,7 @@ int run_other_rank(const RankSetup& setup) {
   loop.start();
   const SteadyClock clock;
   {
-    service::Service service(
-        mpi.comm(), clock,
-        {.no_skip = setup.no_skip, .roots = setup.client_folders, .bulk_bytes_max = bulk_bytes(setup.config)});
+    service::Service service(mpi.comm(), clock, setup.service);
     engine.run(service);
   }
   loop.run([&] { port.finish(); });

@@ -3,10 +3,8 @@
 #pragma once
 
 #include <functional>
-#include <memory>
 #include <string>
 
-#include "common/io/files/roots.hpp"
 #include "server/net/sockets/io_loop.hpp"
 #include "server/program/bridge.hpp"
 #include "server/program/config.hpp"
@@ -22,8 +20,7 @@ struct RankSetup {
   const Config& config;
   ranks::MpiSession& mpi;
   const Hosts& hosts;
-  service::NoSkip no_skip;
-  std::shared_ptr<const io::Roots> client_folders;
+  service::ServiceOptions service;
 };
 
 // Collective, run_rank_0 on rank 0 and run_other_rank on the others. Both return when the service has ended: the

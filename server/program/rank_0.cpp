@@ -33,10 +33,7 @@ std::string host_of(const std::string& address) { return address.substr(0, addre
 class Rank0 {
  public:
   explicit Rank0(const RankSetup& setup)
-      : setup_(setup),
-        engine_(kQueueOrders,
-                {.spare = [this](service::Spare spare) { port_->recycle(spare.scene, std::move(spare.buffers)); },
-                 .progress = [this] { setup_.mpi.progress(); }}) {}
+      : setup_(setup), engine_(kQueueOrders, {.progress = [this] { setup_.mpi.progress(); }}) {}
 
   // Local. Opens the endpoints, and where the other ranks connect.
   Status open();
@@ -56,7 +53,6 @@ class Rank0 {
   Status listen_tcp(const std::string& where);
   Status offer_token(const std::string& given, const std::string& bound);
   net::ControlOptions control_options(const ConnectionLimits& limits) const;
-  service::ServiceOptions service_options() const;
   void run_engine();
   void finish();
 
@@ -91,7 +87,7 @@ Status Rank0::open() {
   if (!doorbells.ok()) return doorbells.status();
   doorbells_ = std::move(*doorbells);
   const ConnectionLimits limits = connection_limits(setup_.mpi.size());
-  port_ = std::make_unique<net::DataPort>(loop_, data_options(setup_.config, credentials_, 0, limits));
+  port_ = std::make_unique<net::DataPort>(loop_, data_options(setup_, credentials_, limits));
   bridge_ = std::make_unique<Bridge>(loop_, engine_, *doorbells_, *port_, setup_.mpi.size());
   control_ = std::make_unique<net::Control>(loop_, control_options(limits), *bridge_);
   return listen();
@@ -155,7 +151,7 @@ net::ControlOptions Rank0::control_options(const ConnectionLimits& limits) const
   options.restarted = setup_.config.restarted;
   options.data_dir = data_->path();
   options.credentials = credentials_;
-  options.bulk_bytes_max = bulk_bytes(setup_.config);
+  options.bulk_bytes_max = setup_.service.bulk_bytes_max;
   options.sessions_max = limits.sessions;
   options.waiting_max = limits.waiting;
   options.files_over_tcp = !setup_.config.files_below.empty();
@@ -244,12 +240,8 @@ void Rank0::serve() {
 
 void Rank0::run_engine() {
   const SteadyClock clock;
-  service::Service service(setup_.mpi.comm(), clock, service_options());
+  service::Service service(setup_.mpi.comm(), clock, setup_.service);
   engine_.run(service);
-}
-
-service::ServiceOptions Rank0::service_options() const {
-  return {.no_skip = setup_.no_skip, .roots = setup_.client_folders, .bulk_bytes_max = bulk_bytes(setup_.config)};
 }
 
 void Rank0::finish() {

@@ -116,8 +116,6 @@ void EngineLoop::execute(service::Service& service, Queued queued) {
                                 .cancelled = order.cancelled,
                                 .waiting = queued.command != nullptr && queued.command->gives_way ? &behind : nullptr});
   number_running_.store(0, std::memory_order_relaxed);
-  for (service::Spare& spare : service.take_spares())
-    if (handlers_.spare) handlers_.spare(std::move(spare));
   if (order.done) order.done(std::move(response));
   if (handlers_.executed) handlers_.executed();
 }

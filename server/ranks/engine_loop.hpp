@@ -45,9 +45,8 @@ class EngineLoop {
  public:
   // Called on the engine thread; may be empty.
   struct Handlers {
-    std::function<void(service::Spare)> spare;  // takes back memory for a scene's next slice (service.hpp)
-    std::function<void()> executed;             // after every order
-    std::function<void()> progress;             // lets MPI send what it still holds
+    std::function<void()> executed;  // after every order
+    std::function<void()> progress;  // lets MPI send what it still holds
   };
   explicit EngineLoop(std::size_t capacity, Handlers handlers = {})
       : capacity_(capacity), handlers_(std::move(handlers)) {}

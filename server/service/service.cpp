@@ -5,7 +5,6 @@
 
 #include <fmt/format.h>
 
-#include "common/io/files/roots.hpp"
 #include "common/layout/layout.hpp"
 #include "server/api/commands.hpp"
 #include "server/service/context/context.hpp"
@@ -24,7 +23,6 @@ struct Service::State {
   ServiceOptions options;
   std::map<std::string, Scene> scenes = {};
   std::map<std::string, Command> commands = {};
-  std::vector<Spare> spares = {};
   SideThread files{kFileBytesMax, options.start_thread};
   Response call(const Command& command, const wire::Json& request, Context& context) {
     if (command.run != nullptr) return command.run(context, request);
@@ -35,7 +33,6 @@ struct Service::State {
 
 Service::Service(comm::Comm& comm, const Clock& clock, ServiceOptions options)
     : state_(new State{comm, clock, std::move(options)}) {
-  if (!state_->options.roots) state_->options.roots = std::make_shared<const io::Roots>();
   for (const auto table : {scene_commands(), push_commands(), query_commands(), quality_commands(), halo_commands(),
                            rebalance_commands(), file_commands()})
     for (const Command& command : table) state_->commands.emplace(command.name, command);
@@ -50,10 +47,8 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
   if (command == state_->commands.end())
     return failed({Code::unsupported, fmt::format("unknown command '{}'", name.value()),
                    "the service may be older than the client: see 'status' for its version"});
-  Context context{
-      state_->comm,   state_->clock,           state_->scenes,        std::move(slices), terms.received_seconds,
-      state_->spares, state_->options.no_skip, state_->options.roots, state_->files,     state_->options.bulk_bytes_max,
-      terms,          state_->clock.seconds()};
+  Context context{state_->comm,  state_->clock,     state_->options, state_->scenes,
+                  state_->files, std::move(slices), terms,           state_->clock.seconds()};
   // Before any work: it may have stood in the queue for long.
   if (command->second.computes)
     if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
@@ -66,8 +61,6 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
     response.change = {request.at("scene").get<std::string>(), scene::Asked{command->first}};
   return response;
 }
-
-std::vector<Spare> Service::take_spares() { return std::exchange(state_->spares, {}); }
 
 namespace {
 
@@ -108,11 +101,11 @@ Result<Scene*> find_scene(Context& context, const wire::Json& request, Needs nee
     return Status(Code::not_found, fmt::format("no scene '{}'", name.value()),
                   "'rcbctl scene list' names those that are there");
   const Scene& scene = found->second;
-  if (needs == Needs::positions && !scene.pushed && scene.epoch > 0)
+  if (needs == Needs::positions && !scene.step && scene.epoch > 0)
     return Status(Code::not_found,
                   fmt::format("the ranks hold no positions of scene '{}' since the service was started", name.value()),
                   "they come with the next step of its solver");
-  if (needs == Needs::cuts ? scene.epoch == 0 : needs == Needs::positions && !scene.pushed)
+  if (needs == Needs::cuts ? scene.epoch == 0 : needs == Needs::positions && !scene.step)
     return Status(Code::not_found, fmt::format("scene '{}' has no positions yet", name.value()), "push a step first");
   return &found->second;
 }

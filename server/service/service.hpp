@@ -6,35 +6,15 @@
 // 3. Only rank 0 returns the response; other ranks return an empty one.
 #pragma once
 
-#include <atomic>
-#include <cstdint>
 #include <memory>
-#include <optional>
-#include <string>
 #include <vector>
 
-#include "common/base/buffer.hpp"
 #include "common/base/clock.hpp"
-#include "common/base/status.hpp"
 #include "common/comm/comm.hpp"
-#include "common/files/side_thread.hpp"
 #include "common/wire/message.hpp"
 #include "server/service/context/order.hpp"
-#include "server/service/scene/no_skip.hpp"
-
-namespace rcb::io {
-class Roots;
-}
 
 namespace rcb::service {
-
-struct ServiceOptions {
-  NoSkip no_skip = {};  // the same on all ranks
-  // Folders for clients' files; null: none. Shared with the thread that reads and writes them.
-  std::shared_ptr<const io::Roots> roots = {};
-  std::uint64_t bulk_bytes_max = 0;     // of the points that `load` reads; 0: no limit
-  SideThread::Start start_thread = {};  // for tests: starts the thread for clients' files
-};
 
 class Service {
  public:
@@ -45,9 +25,6 @@ class Service {
   // same on all ranks: "command" and the arguments of PROTOCOL.md. A push is {"command":"push", ...the fields of
   // push.begin}; its slices are on rank 0 or, if the request has a field "staged", each on its own rank.
   Response execute(const wire::Json& request, std::vector<PushSlice> slices = {}, const OrderTerms& terms = {});
-
-  // Local. The memory released by the orders since the last call, in their sequence.
-  std::vector<Spare> take_spares();
 
  private:
   struct State;

@@ -29,7 +29,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
   State(IoLoop& io, DataOptions data_options)
       : loop(io),
         options(std::move(data_options)),
-        slices(options.rank),
+        slices(options.rank, options.spare),
         memories(options.rank, options.bulk_bytes_max) {}
 
   asio::io_context& context() const { return loop.context(); }
@@ -281,9 +281,5 @@ std::shared_ptr<const SharedMemory> DataPort::memory(const std::string& session,
 }
 
 int DataPort::rank() const { return state_->options.rank; }
-
-void DataPort::recycle(const std::string& scene, std::vector<Buffer<std::byte>> buffers) {
-  state_->slices.recycle(scene, std::move(buffers));
-}
 
 }  // namespace rcb::net

@@ -8,7 +8,7 @@
 // 1. A slice is received only for a push that the coordinator has opened, from one connection, in order of its rows.
 //    Slices of another, unknown or ended push are read and dropped; a slice that comes before its push is opened stays
 //    unread for at most `unknown_seconds`.
-// Everything but recycle() runs on the I/O thread.
+// Everything runs on the I/O thread.
 #pragma once
 
 #include <cstdint>
@@ -22,6 +22,7 @@
 #include "common/base/status.hpp"
 #include "common/files/shared_memory.hpp"
 #include "common/wire/limits.hpp"
+#include "server/api/spare_memory.hpp"
 #include "server/net/push/data_plane.hpp"
 #include "server/net/sockets/credentials.hpp"
 #include "server/net/sockets/io_loop.hpp"
@@ -37,6 +38,7 @@ struct DataOptions {
   double unknown_seconds = wire::kDeadlineSecondsDefault;  // how long a slice waits for its push to be opened
   int connections_max = wire::kSessionsMax;
   std::size_t waiting_max = wire::kBeforeHelloMax;  // connections to a listener before their hello
+  std::shared_ptr<api::SpareMemory> spare = std::make_shared<api::SpareMemory>();  // which slices are received into
 };
 
 class DataPort {
@@ -63,9 +65,6 @@ class DataPort {
   // The memory that a session shares under this number; null if there is none.
   std::shared_ptr<const SharedMemory> memory(const std::string& session, std::int64_t number) const;
   int rank() const;
-
-  // Any thread. Keeps `buffers` for the scene's next slice and frees those kept so far; if empty, it only frees.
-  void recycle(const std::string& scene, std::vector<Buffer<std::byte>> buffers);
 
  private:
   struct State;

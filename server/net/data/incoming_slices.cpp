@@ -63,7 +63,7 @@ void IncomingSlices::open(PushTicket ticket) {
   const std::size_t arrays = static_cast<std::size_t>(terms.dims) + (terms.weights ? 1U : 0U) + (terms.ids ? 1U : 0U);
   bool fits = true;
   for (std::size_t a = 0; a < arrays && fits; ++a) {
-    Buffer<std::byte> buffer = pool_.take(terms.id.scene);
+    Buffer<std::byte> buffer = spare_->take(terms.id.scene);
     // Reserves room for some arrivals, which costs address space only: if a slice outgrew its buffer by a few
     // particles, the kernel would have to clear new pages for all of it.
     fits = buffer.capacity() >= terms.n * 8 || buffer.try_reserve((terms.n + terms.n / 16) * 8);

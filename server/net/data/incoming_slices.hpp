@@ -5,7 +5,7 @@
 //    as bytes arrive.
 // 2. An opened push ends with one report: the slice is complete, or why it won't be. Reports before that say how many
 //    bytes have come.
-// Everything but recycle() runs on the I/O thread.
+// Everything runs on the I/O thread.
 #pragma once
 
 #include <cstdint>
@@ -13,7 +13,6 @@
 #include <functional>
 #include <map>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <set>
 #include <string>
@@ -21,6 +20,7 @@
 
 #include "common/base/buffer.hpp"
 #include "common/base/status.hpp"
+#include "server/api/spare_memory.hpp"
 #include "server/net/push/data_plane.hpp"
 #include "server/net/sockets/connection.hpp"
 
@@ -40,7 +40,7 @@ class IncomingSlices {
  public:
   using Report = std::function<void(const SliceReport& report)>;
 
-  explicit IncomingSlices(int rank) : rank_(rank) {}
+  IncomingSlices(int rank, std::shared_ptr<api::SpareMemory> spare) : rank_(rank), spare_(std::move(spare)) {}
   void set_report(Report report) { report_ = std::move(report); }
 
   void open(PushTicket ticket);
@@ -61,39 +61,9 @@ class IncomingSlices {
   void remember_ended(const PushId& id);
   bool has_ended(const PushId& id) const { return ended_.contains(id); }
 
-  // Any thread. Keeps `buffers` for the scene's next slice and frees those kept so far; if empty, it only frees.
-  void recycle(const std::string& scene, std::vector<Buffer<std::byte>> buffers) {
-    pool_.put(scene, std::move(buffers));
-  }
-
  private:
-  // Slice buffers that the engine gave back, kept for the next push, by scene.
-  class Pool {
-   public:
-    void put(const std::string& scene, std::vector<Buffer<std::byte>> buffers) {
-      const std::lock_guard lock(mutex_);
-      if (buffers.empty())
-        kept_.erase(scene);
-      else
-        kept_[scene] = std::move(buffers);
-    }
-    // A kept buffer, or an empty one.
-    Buffer<std::byte> take(const std::string& scene) {
-      const std::lock_guard lock(mutex_);
-      const auto found = kept_.find(scene);
-      Buffer<std::byte> buffer;
-      if (found == kept_.end() || found->second.empty()) return buffer;
-      buffer.swap(found->second.back());
-      found->second.pop_back();
-      return buffer;
-    }
-
-   private:
-    std::mutex mutex_;
-    std::map<std::string, std::vector<Buffer<std::byte>>> kept_;
-  };
-
   int rank_;
+  std::shared_ptr<api::SpareMemory> spare_;
   Report report_;
   void forget(const Incoming& push);
 
@@ -101,7 +71,6 @@ class IncomingSlices {
   std::map<PushId, std::uint64_t> numbers_;                    // of these; of two with one id the latest's
   std::set<PushId> ended_;
   std::deque<PushId> ended_in_turn_;  // in order; may name pushes that were opened again since
-  Pool pool_;
 };
 
 }  // namespace rcb::net

@@ -84,17 +84,17 @@ Status put_cut_arrays(const Context& context, Response& response, wire::Json& js
   const auto parts = static_cast<std::uint64_t>(scene.options.parts);
   if (Status room = room_for(context.comm, parts * kBytesOfPart, "the cuts"); !room.ok()) return room;
   json = {{"epoch", scene.epoch},
-          {"dims", scene.tree.dims},
-          {"method", cuts::method_name(scene.tree.method)},
-          {"parts", scene.tree.parts},
-          {"hash", wire::hex64(scene.cuts_hash())}};
-  for (wire::Array& array : api::cut_arrays(scene.tree)) response.arrays.push_back(std::move(array));
+          {"dims", scene.tree->dims},
+          {"method", cuts::method_name(scene.tree->method)},
+          {"parts", scene.tree->parts},
+          {"hash", wire::hex64(scene.hash)}};
+  for (wire::Array& array : api::cut_arrays(*scene.tree)) response.arrays.push_back(std::move(array));
   return {};
 }
 
 void put_cuts_unless_known(const Context& context, Response& response, Scene& scene, const PushRequest& push) {
   wire::Json json;
-  if (push.cuts_known && *push.cuts_known != api::CutsId{scene.epoch, scene.cuts_hash()} &&
+  if (push.cuts_known && *push.cuts_known != api::CutsId{scene.epoch, scene.hash} &&
       put_cut_arrays(context, response, json, scene).ok())
     response.json["cuts"] = std::move(json);
 }

@@ -123,7 +123,7 @@ Result<particles::ParticleSet> particles_of(io::Points points, const SliceTotals
 Result<io::Points> read_slice(Context& context, const LoadRequest& load) {
   FileWork work(context.files);
   auto points = std::make_shared<std::optional<io::Points>>();
-  work.run([load, points, roots = context.roots, &stop = work.stop(), rank = context.comm.rank(),
+  work.run([load, points, roots = context.options.roots, &stop = work.stop(), rank = context.comm.rank(),
             ranks = context.comm.size()]() -> Status {
     io::ReadOptions options = load.options;
     options.below = roots.get();
@@ -143,7 +143,7 @@ Response load(Context& context, Scene& scene, const wire::Json& request) {
     return failed({Code::invalid_argument, fmt::format("scene '{}' has positions already", scene.name),
                    "load is for a scene's first positions; push the file instead"});
   if (load->options.dims == 0) load->options.dims = scene.options.dims;
-  load->options.bytes_max = context.bulk_bytes_max;
+  load->options.bytes_max = context.options.bulk_bytes_max;
   const double start = context.clock.seconds();
   comm::Comm& comm = context.comm;
   auto points = read_slice(context, *load);
@@ -269,7 +269,7 @@ Status write_own_parts(Context& context, const Scene& scene, const std::string& 
     return room;
   const particles::ByPart by = particles::by_part(scene.part.span(), begin, end);
   FileWork work(context.files);
-  const auto writer = std::make_shared<PartWriter>(context.roots, directory);
+  const auto writer = std::make_shared<PartWriter>(context.options.roots, directory);
   work.run([writer] { return writer->open(); });
   if (Status opened = finish(context, work, [] { return false; }); !opened.ok())
     return opened;  // all ranks may, or none

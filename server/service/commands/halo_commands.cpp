@@ -222,7 +222,7 @@ void append_demands(Context& context, Response& response, const HaloSearch& sear
 Response about_cuts(Scene& s) {
   return done({{"scene", s.name},
                {"epoch", s.epoch},
-               {"hash", wire::hex64(s.cuts_hash())},
+               {"hash", wire::hex64(s.hash)},
                {"dims", s.options.dims},
                {"parts", s.options.parts}});
 }

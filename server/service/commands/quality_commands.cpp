@@ -43,7 +43,7 @@ Response quality(Context& context, Scene& s, const wire::Json& request) {
       !room.ok())
     return failed(std::move(room));
   Status time;
-  const auto found = partition::quality(context.comm, s.particles.view(), s.part.span(), s.options.parts, &s.tree,
+  const auto found = partition::quality(context.comm, s.particles.view(), s.part.span(), s.options.parts, s.tree.get(),
                                         width.value(), while_in_time(context, time));
   if (!found) return failed(std::move(time));
   if (!context.root()) return {};

@@ -25,10 +25,10 @@ Response owner(Context&, Scene& s, const wire::Json& request) {
   if (!id.ok()) return failed(id.status());
   wire::Json json{{"scene", s.name}, {"epoch", s.epoch}};
   if (id.value() >= 0) {
-    json["owner"] = s.tree.part_of(position.value(), id.value());
+    json["owner"] = s.tree->part_of(position.value(), id.value());
     return done(std::move(json));
   }
-  const std::vector<int> candidates = s.tree.candidates(position.value());
+  const std::vector<int> candidates = s.tree->candidates(position.value());
   if (candidates.size() == 1) {
     json["owner"] = candidates.front();
   } else {
@@ -94,7 +94,7 @@ Status append_particles(Context& context, const Scene& scene, bool positions, Re
 Response assign(Context& context, Scene& s, const wire::Json& request) {
   const auto checksum = wire::bool_field(request, "checksum");
   if (!checksum.ok()) return failed(checksum.status());
-  Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"hash", wire::hex64(s.cuts_hash())}});
+  Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"hash", wire::hex64(s.hash)}});
   if (Status status = append_particles(context, s, false, response); !status.ok()) return failed(std::move(status));
   if (checksum.value()) {
     std::uint64_t sum = 0;
@@ -138,16 +138,16 @@ Response cuts(Context& context, Scene& s, const wire::Json& request) {
   if (!page.ok()) return failed(page.status());
   if (!context.root()) return {};
   wire::Json json{{"epoch", s.epoch},
-                  {"method", cuts::method_name(s.tree.method)},
+                  {"method", cuts::method_name(s.tree->method)},
                   {"parts", parts},
-                  {"hash", wire::hex64(s.cuts_hash())}};
+                  {"hash", wire::hex64(s.hash)}};
   if (page->from == 0) json["narrowest_region"] = narrowest_json(s.snapshot());
   const auto from = static_cast<int>(page->from);
   const auto end = static_cast<int>(page->end);
-  if (!regions) json["cuts"] = cuts_json(s.tree, from, end);
-  if (regions) json["regions"] = regions_json(s.tree, from, end);
+  if (!regions) json["cuts"] = cuts_json(*s.tree, from, end);
+  if (regions) json["regions"] = regions_json(*s.tree, from, end);
   if (list->empty())
-    json["regions"] = regions_json(s.tree, 0, parts);
+    json["regions"] = regions_json(*s.tree, 0, parts);
   else
     page->tell(json, total);
   return done(std::move(json));

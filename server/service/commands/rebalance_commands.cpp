@@ -85,12 +85,12 @@ Response rebalance(Context& context, Scene& scene, const wire::Json& request) {
   wire::Json json{{"scene", scene.name},
                   {"method", cuts::method_name(options.method)},
                   {"parts", options.parts},
-                  {"error_before", scene.loads.error},
+                  {"error_before", scene.loads->error},
                   {"error", loads.error},
                   {"imbalance", loads.imbalance},
                   {"moved", moved},
                   {"migrated", migrated},
-                  {"axes_flipped", cuts::axes_flipped(scene.tree, found->tree)},
+                  {"axes_flipped", cuts::axes_flipped(*scene.tree, found->tree)},
                   {"adopted", !wanted->dry_run},
                   {"reason", wanted->dry_run ? "dry run: nothing was changed" : "asked for"},
                   {"hash", wire::hex64(found->tree.hash())}};
@@ -109,7 +109,7 @@ Response rebalance(Context& context, Scene& scene, const wire::Json& request) {
     scene.part = std::move(found->part);
     adopt(scene, {std::move(found->tree), found->rounds, found->reductions}, std::move(loads));
     send_strangers(context.comm, scene, false);
-    if (context.root()) response.change = {scene.name, scene::Rebalanced{options, held_of(scene)}};
+    if (context.root()) response.change = {scene.name, scene::Rebalanced{options, scene}};
   }
   response.json["epoch"] = scene.epoch;
   response.json["seconds"] = context.clock.seconds() - start;

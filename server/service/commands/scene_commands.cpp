@@ -21,13 +21,8 @@ Scene Scene::create(std::string name, SceneOptions options) {
   return scene;
 }
 
-std::uint64_t Scene::cuts_hash() {
-  if (!tree_hash) tree_hash = tree.hash();
-  return *tree_hash;
-}
-
 const cuts::Cuts& Scene::snapshot() {
-  if (!known_cuts || known_cuts->epoch() != epoch) known_cuts.emplace(tree, epoch);
+  if (!known_cuts || known_cuts->epoch() != epoch) known_cuts.emplace(*tree, epoch);
   return *known_cuts;
 }
 
@@ -60,10 +55,10 @@ Response create(Context& context, const wire::Json& request) {
                    "drop one: rcbctl scene drop NAME"});
   if (Status status = check_parts_total(context.scenes, name, options->parts); !status.ok())
     return failed(std::move(status));
-  if (exists) context.spares.push_back({name, {}});
+  context.options.spare->free(name);
   Scene& made = context.scenes.insert_or_assign(name, Scene::create(name, std::move(options).value())).first->second;
   Response response = done(wire::Json::object());
-  if (context.root()) response.change = {name, scene::Created{made.options, held_of(made)}};
+  if (context.root()) response.change = {name, scene::Created{made.options, made}};
   return response;
 }
 
@@ -92,7 +87,7 @@ Response restore(Context& context, const wire::Json& request) {
   scene.search_rounds = number("rounds");
   scene.search_reductions = number("reductions");
   scene.ids = request.at("ids").get<bool>();
-  scene.particles.has_weights = request.at("weights").get<bool>();
+  scene.particles.has_weights = scene.weights = request.at("weights").get<bool>();
   if (scene.epoch > 0) {
     cuts::CutArrays arrays{.dims = scene.options.dims, .method = scene.options.method, .parts = scene.options.parts};
     arrays.part_sizes = broadcast_array<double>(context, "part_sizes");
@@ -101,7 +96,8 @@ Response restore(Context& context, const wire::Json& request) {
     arrays.id = broadcast_array<cuts::Id>(context, "id");
     auto tree = cuts::tree_of(arrays);
     if (!tree.ok()) return failed(tree.status());
-    scene.tree = std::move(*tree);
+    scene.hash = tree->hash();
+    scene.tree = std::make_shared<const cuts::CutTree>(std::move(*tree));
   }
   if (const auto sum = request.find("id_sum"); sum != request.end()) scene.id_sum = sum->get<std::uint64_t>();
   context.scenes.insert_or_assign(name, std::move(scene));
@@ -111,7 +107,7 @@ Response restore(Context& context, const wire::Json& request) {
 Response drop(Context& context, Scene& scene, const wire::Json&) {
   const std::string name = scene.name;
   context.scenes.erase(name);
-  context.spares.push_back({name, {}});
+  context.options.spare->free(name);
   Response response = done(wire::Json::object());
   response.change = {name, scene::Dropped{}};
   return response;

@@ -49,15 +49,14 @@ Status room_to_partition(const comm::Comm& comm, std::uint64_t particles, int pa
                   fmt::format("a partition of {} particles into {} parts", particles, parts));
 }
 
-template <typename Slot>
-void sort_slots_by_id(Buffer<Slot>& slots, std::span<const particles::Id> ids) {
+void sort_slots_by_id(Buffer<std::uint64_t>& slots, std::span<const particles::Id> ids) {
   std::vector<std::size_t> ends;  // ends of the ascending runs
   for (std::size_t k = 1; k < slots.size(); ++k)
     if (ids[slots[k]] < ids[slots[k - 1]]) ends.push_back(k);
   if (ends.empty()) return;
   ends.push_back(slots.size());
-  const auto less = [ids](Slot a, Slot b) { return ids[a] < ids[b]; };
-  Buffer<Slot> merged(slots.size());
+  const auto less = [ids](std::uint64_t a, std::uint64_t b) { return ids[a] < ids[b]; };
+  Buffer<std::uint64_t> merged(slots.size());
   while (ends.size() > 1) {
     std::vector<std::size_t> merged_ends;
     std::size_t begin = 0;
@@ -73,9 +72,6 @@ void sort_slots_by_id(Buffer<Slot>& slots, std::span<const particles::Id> ids) {
     ends.swap(merged_ends);
   }
 }
-
-template void sort_slots_by_id(Buffer<std::uint32_t>&, std::span<const particles::Id>);
-template void sort_slots_by_id(Buffer<std::uint64_t>&, std::span<const particles::Id>);
 
 Buffer<std::uint64_t> order_by_id(const Buffer<particles::Id>& ids) {
   Buffer<std::uint64_t> order(ids.size());

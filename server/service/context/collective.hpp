@@ -37,14 +37,13 @@ Status room_to_partition(const comm::Comm& comm, std::uint64_t particles, int pa
 // The k-th entry is the index of the particle with the k-th smallest id. Ids come in a few ascending runs (one from
 // each rank), so the runs are merged in pairs. Local.
 Buffer<std::uint64_t> order_by_id(const Buffer<particles::Id>& ids);
-// Sorts slots (32 or 64 bits each) by the ids of their particles. Local.
-template <typename Slot>
-void sort_slots_by_id(Buffer<Slot>& slots, std::span<const particles::Id> ids);
+// Sorts slots by the ids of their particles. Local.
+void sort_slots_by_id(Buffer<std::uint64_t>& slots, std::span<const particles::Id> ids);
 
 // Reorders an array so that entry k becomes the former entry order[k]. Uses the memory of `spare`, and leaves in
 // `spare` as much of the array's former memory as the next array needs.
-template <typename T, typename Slot>
-void put_in_order(Buffer<T>& values, const Buffer<Slot>& order, Buffer<std::byte>& spare) {
+template <typename T>
+void put_in_order(Buffer<T>& values, const Buffer<std::uint64_t>& order, Buffer<std::byte>& spare) {
   Buffer<T> sorted = spare.release_as<T>();
   sorted.resize(order.size());
   for (std::size_t k = 0; k < order.size(); ++k) sorted[k] = values[order[k]];

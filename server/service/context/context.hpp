@@ -4,17 +4,13 @@
 #pragma once
 
 #include <map>
-#include <memory>
 #include <span>
 #include <string>
 #include <vector>
 
 #include "common/base/clock.hpp"
 #include "common/comm/comm.hpp"
-#include "common/files/side_thread.hpp"
-#include "common/io/files/roots.hpp"
 #include "server/service/context/order.hpp"
-#include "server/service/scene/no_skip.hpp"
 #include "server/service/scene/scene.hpp"
 
 namespace rcb::service {
@@ -22,17 +18,12 @@ namespace rcb::service {
 struct Context {
   comm::Comm& comm;
   const Clock& clock;
+  const ServiceOptions& options;
   std::map<std::string, Scene>& scenes;
+  SideThread& files;  // on which this rank reads and writes clients' files
   // The slices of the push being executed: all of them on rank 0 or, if the ranks received them directly, each rank's
   // own.
   std::vector<PushSlice> slices;
-  double received_seconds = 0;
-  std::vector<Spare>& spares;
-  NoSkip no_skip;
-  const std::shared_ptr<const io::Roots>& roots;  // folders for clients' files
-  SideThread& files;                              // on which this rank reads and writes them
-  std::uint64_t bulk_bytes_max = 0;               // of what a client may have the service hold; 0: no limit
-
   OrderTerms terms = {};
   double begun = 0;  // clock time at which the order began
 

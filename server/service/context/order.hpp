@@ -1,29 +1,22 @@
-// What comes with an order besides its request, and what results from it.
+// What comes with an order besides its request, what results from it, and the options of the service that executes it.
 #pragma once
 
 #include <atomic>
 #include <cstdint>
 #include <memory>
-#include <optional>
-#include <string>
-#include <vector>
 
-#include "common/base/buffer.hpp"
 #include "common/base/status.hpp"
+#include "common/files/side_thread.hpp"
+#include "common/io/files/roots.hpp"
 #include "common/wire/message.hpp"
 #include "server/api/answer.hpp"
 #include "server/api/slice.hpp"
+#include "server/api/spare_memory.hpp"
+#include "server/service/scene/no_skip.hpp"
 
 namespace rcb::service {
 
 using PushSlice = api::Slice;
-
-// What an order hands back to the socket side: memory into which the scene's next push is to be received. Without
-// buffers it says that memory kept for the scene so far is to be freed.
-struct Spare {
-  std::string scene;
-  std::vector<Buffer<std::byte>> buffers;
-};
 
 using Response = api::Answer;
 
@@ -44,6 +37,16 @@ struct OrderTerms {
   std::shared_ptr<const std::atomic<bool>> cancelled = nullptr;  // set once nobody waits for the answer; may be null
   // On every rank: the waiting orders that a long order gives way to (Context::check_time); nullptr: none.
   WaitingOrders* waiting = nullptr;
+};
+
+struct ServiceOptions {
+  NoSkip no_skip = {};  // the same on all ranks
+  // Folders for clients' files. Shared with the thread that reads and writes them.
+  std::shared_ptr<const io::Roots> roots = std::make_shared<const io::Roots>();
+  std::uint64_t bulk_bytes_max = 0;  // of the points that `load` reads; 0: no limit
+  // Shared with the threads that receive slices.
+  std::shared_ptr<api::SpareMemory> spare = std::make_shared<api::SpareMemory>();
+  SideThread::Start start_thread = {};  // for tests: starts the thread for clients' files
 };
 
 }  // namespace rcb::service

@@ -126,18 +126,15 @@ class Reader {
   Status make_room() {
     const Status full(Code::too_large, fmt::format("rank {} has no memory for {} particles", comm_.rank(), count_));
     if (takes_slice()) return push_.ids || set().id.try_reserve(count_) ? Status() : full;
-    for (std::size_t k = 0; k < scene_.spare.size(); ++k) {
-      Buffer<std::byte>& spare = scene_.spare[k];
-      if (k < dims())
-        set().position[k] = spare.release_as<double>();
-      else if (k == dims() && push_.weights)
-        set().weight = spare.release_as<double>();
-      else if (set().id.capacity() == 0)
-        set().id = spare.release_as<particles::Id>();
-    }
-    scene_.spare.clear();
-    bool fits = set().id.try_reserve(count_) && (!push_.weights || set().weight.try_reserve(count_));
-    for (std::size_t a = 0; a < dims(); ++a) fits = fits && set().position[a].try_reserve(count_);
+    bool fits = true;
+    const auto reserve = [&](auto& array) {
+      using T = std::remove_reference_t<decltype(array[0])>;
+      array = context_.options.spare->take(scene_.name).release_as<T>();
+      fits = fits && array.try_reserve(count_);
+    };
+    for (std::size_t a = 0; a < dims(); ++a) reserve(set().position[a]);
+    if (push_.weights) reserve(set().weight);
+    reserve(set().id);
     if (!fits) return full;
     set().resize(count_);
     return {};
@@ -187,14 +184,14 @@ class Reader {
       if (!push_.ids) set().id.resize(count);
       number_rows(slice.first_row, count);
     } else if (before.ok()) {
-      Spare spare{scene_.name, {}};
+      std::vector<Buffer<std::byte>> read;
       for_each_array([&](std::size_t array, auto& to) {
         Buffer<std::byte>& from = slice.arrays[array].bytes;
         if (count > 0) std::memcpy(to.data() + at_, from.data(), from.size());
-        spare.buffers.push_back(std::move(from));
+        read.push_back(std::move(from));
       });
       number_rows(slice.first_row, count);
-      context_.spares.push_back(std::move(spare));
+      context_.options.spare->keep(scene_.name, std::move(read));
     }
     at_ += count;
     return before;

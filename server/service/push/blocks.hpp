@@ -25,8 +25,8 @@ struct Arrived {
   bool took_slice = false;     // its memory is that of a slice
 };
 
-// Weights and ids as the push says; without ids a row's number is its id. Takes memory out of scene.spare, and gives
-// that of the slices to context.spares or uses it. Nothing else of the scene changes. Collective. Errors: aborted,
+// Weights and ids as the push says; without ids a row's number is its id. Takes spare
+// memory, and keeps that of the slices as such or uses it. Nothing of the scene changes. Collective. Errors: aborted,
 // invalid_argument, too_large, the same on every rank.
 Result<Arrived> read_blocks(Context& context, Scene& scene, const PushRequest& push);
 

@@ -31,7 +31,7 @@ struct PushRequest : api::Push {
 
   // The rows are those of the particles that the ranks hold, in shared memory.
   bool of_held(const Scene& scene) const {
-    return !counted_ids && scene.pushed && scene.n > 0 && blocks.size() == 1 &&
+    return !counted_ids && scene.step && scene.n > 0 && blocks.size() == 1 &&
            blocks.front().way == api::Way::shared_memory && blocks.front().counts.empty();
   }
 };

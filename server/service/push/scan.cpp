@@ -58,7 +58,7 @@ class Pending {
     }
     if (!scan_.fault) {
       part_.resize(few.count);
-      scene_.tree.classify(few, part_.span());
+      scene_.tree->classify(few, part_.span());
       for (std::size_t k = 0; k < few.count; ++k) {
         if (part_[k] == scene_.part[slot_[k]]) continue;
         scan_.drift.slot.push_back(slot_[k]);
@@ -166,7 +166,7 @@ bool bad_weights(const double* weight, std::size_t count) {
 void refresh_regions(Scene& scene, int rank, int ranks) {
   if (scene.regions_epoch == scene.epoch) return;
   const auto [begin, end] = layout::parts_of_rank(rank, scene.options.parts, ranks);
-  scene.regions = cuts::Regions(begin, scene.tree.regions(begin, end));
+  scene.regions = cuts::Regions(begin, scene.tree->regions(begin, end));
   scene.regions_epoch = scene.epoch;
 }
 

@@ -207,8 +207,7 @@ Result<SharedSource> open_source(const Context& context, Scene& scene, const Pus
                   "push the step again");
   const std::uint64_t mine = scene.particles.count();
   for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
-    if (a < scene.spare.size()) staged.arrays.position[a] = scene.spare[a].release_as<double>();
-  scene.spare.clear();
+    staged.arrays.position[a] = context.options.spare->take(scene.name).release_as<double>();
   bool fits = !push.weights || staged.arrays.weight.try_reserve(mine);
   for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
     fits = fits && staged.arrays.position[a].try_reserve(mine);
@@ -270,16 +269,14 @@ std::uint64_t sum_ids(std::span<const particles::Id> ids, std::uint64_t key) {
   return sum;
 }
 
-void give_back(Context& context, Scene& scene, Staged& staged, api::Way way) {
+void give_back(Context& context, const Scene& scene, Staged& staged, api::Way way) {
+  if (!staged.took_slice && way != api::Way::shared_memory) return;
   std::vector<Buffer<std::byte>> buffers;
   for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
     buffers.push_back(staged.arrays.position[a].release_as<std::byte>());
   if (staged.arrays.weight.capacity() > 0) buffers.push_back(staged.arrays.weight.release_as<std::byte>());
   if (staged.arrays.id.capacity() > 0) buffers.push_back(staged.arrays.id.release_as<std::byte>());
-  if (staged.took_slice)
-    context.spares.push_back({scene.name, std::move(buffers)});
-  else if (way == api::Way::shared_memory)
-    scene.spare = std::move(buffers);
+  context.options.spare->keep(scene.name, std::move(buffers));
 }
 
 Result<Staged> prepare_set(comm::Comm& comm, Scene& scene, const PushRequest& push, Arrived arrived) {
@@ -304,7 +301,7 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
     staged = std::move(*set);
   }
   staged.bytes = bytes_of(scene, push);
-  staged.seconds = context.received_seconds + context.clock.seconds() - start;
+  staged.seconds = context.terms.received_seconds + context.clock.seconds() - start;
   return staged;
 }
 

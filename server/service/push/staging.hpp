@@ -49,16 +49,16 @@ struct Staged {
   const particles::BlockRanges* ranges() const { return scan.ranges.known() ? &scan.ranges : nullptr; }
 };
 
-// Collective. Leaves the scene as it was, except for what it caches (regions, spare memory). Errors: faults of the
+// Collective. Leaves the scene as it was, except for what it caches (regions). Errors: faults of the
 // push, the same on every rank: those of read_blocks(), not_finite, invalid_argument,
 // not_conserved, duplicate_id, too_large.
 Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push);
 // The same where the rows are there already, as a new set of particles. Errors: but for those of read_blocks().
 Result<Staged> prepare_set(comm::Comm& comm, Scene& scene, const PushRequest& push, Arrived arrived);
 
-// Gives the memory that the commit swapped out to the next push, so that a step touches no fresh memory; frees it where
-// rows also lay in other memory before they came here. Local.
-void give_back(Context& context, Scene& scene, Staged& staged, api::Way way);
+// Keeps the memory that the commit swapped out for the next push, unless rows also lay in other memory before they came
+// here. Local.
+void give_back(Context& context, const Scene& scene, Staged& staged, api::Way way);
 
 // The sum of mix64(id + key). Local.
 std::uint64_t sum_ids(std::span<const particles::Id> ids, std::uint64_t key);

@@ -7,12 +7,11 @@
 // 1. Everything but `particles` and `part` is the same on all ranks.
 // 2. After every order this rank holds exactly the particles of its parts, in any order, and part[i] is the part of
 //    particle i under `tree`.
-// 3. `step` is that of the positions held; later steps may have been counted only. `loads` are those of these
-// positions.
+// 3. `step` is that of the positions held, none before a first push to this service; later steps may have been counted
+//    only. `loads` are those of these positions.
 #pragma once
 
 #include <cstdint>
-#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -36,40 +35,23 @@ struct IdKey {
   std::uint64_t sum = 0;  // of mix64(id + key), all ranks
 };
 
-struct Scene {
+struct Scene : scene::Held {
   std::string name;
   SceneOptions options;
 
-  bool pushed = false;  // a first push was committed
-  bool ids = false;     // given by the solver; else 0..n-1
-  std::uint64_t n = 0;
-  std::optional<std::uint64_t> id_sum;  // of mix64(id), all ranks; none: not known
+  std::optional<std::int64_t> step;
   IdKey key;
   particles::ParticleSet particles;
   Buffer<std::int32_t> part;
 
-  cuts::CutTree tree;
-  std::optional<std::uint64_t> tree_hash;  // set by cuts_hash(), until the tree changes
-  std::uint64_t epoch = 0;
   cuts::Regions regions;  // for the cuts of epoch regions_epoch
   std::uint64_t regions_epoch = 0;
-  partition::LoadSummary loads;                              // of the parts
-  std::shared_ptr<const cuts::CutTree> told_tree;            // likewise
-  std::shared_ptr<const partition::LoadSummary> told_loads;  // rank 0: those that the ledger knows; null: others
   // Back-off after a wasted incremental search: the next full_searches_left repartitions search all particles.
   // full_searches_last is the number that the last wasted one caused (1, 3, then 7; 0 after a success).
   int full_searches_left = 0;
   int full_searches_last = 0;
-  std::uint64_t search_rounds = 0;  // of the search for the current partition
-  std::uint64_t search_reductions = 0;
-
-  std::vector<Buffer<std::byte>> spare;  // memory for the next push, array by array
-
-  std::optional<std::int64_t> step;
   std::optional<cuts::Cuts> known_cuts;  // those of snapshot()
 
-  // The tree's hash; computed once for each tree.
-  std::uint64_t cuts_hash();
   // What the tree tells; made when it is first asked for in an epoch, since it takes some hundred bytes a part.
   const cuts::Cuts& snapshot();
 

@@ -35,9 +35,8 @@ void for_each_array(Scene& scene, Arrivals& arrivals, const Apply& apply) {
 
 // Who sends which particles to whom. A rank's exports are grouped by destination, beginning with the next higher rank,
 // so that not all ranks send to the same one at the same time.
-template <typename Slot>
 struct Exchange {
-  Buffer<Slot> grouped;              // slots of the exports, group after group
+  Buffer<std::uint64_t> grouped;     // slots of the exports, group after group
   std::vector<std::uint64_t> begin;  // by destination: start of its group
   std::vector<std::uint64_t> count;
   std::vector<std::uint64_t> from_count;  // by source
@@ -48,12 +47,11 @@ struct Exchange {
 };
 
 // Fills in what needs no communication. Local.
-template <typename Slot>
-Exchange<Slot> plan_exchange(const comm::Comm& comm, const Scene& scene, const Exports& exports,
-                             std::span<const std::uint64_t> from) {
+Exchange plan_exchange(const comm::Comm& comm, const Scene& scene, const Exports& exports,
+                       std::span<const std::uint64_t> from) {
   const auto ranks = static_cast<std::size_t>(comm.size());
   const auto rank = static_cast<std::size_t>(comm.rank());
-  Exchange<Slot> exchange;
+  Exchange exchange;
   exchange.count = exports.counts;
   exchange.begin.resize(ranks);
   std::uint64_t at = 0;
@@ -65,7 +63,7 @@ Exchange<Slot> plan_exchange(const comm::Comm& comm, const Scene& scene, const E
   std::vector<std::uint64_t> next = exchange.begin;
   for (const std::uint64_t slot : exports.slots) {
     const int r = layout::rank_of_part(scene.part[slot], scene.options.parts, comm.size());
-    exchange.grouped[next[static_cast<std::size_t>(r)]++] = static_cast<Slot>(slot);
+    exchange.grouped[next[static_cast<std::size_t>(r)]++] = slot;
   }
   exchange.from_count.assign(from.begin(), from.end());
   exchange.arriving = std::accumulate(from.begin(), from.end(), std::uint64_t{0});
@@ -73,8 +71,7 @@ Exchange<Slot> plan_exchange(const comm::Comm& comm, const Scene& scene, const E
 }
 
 // Fills in what an exchange in rounds needs. Collective.
-template <typename Slot>
-void agree_on_rounds(comm::Comm& comm, Exchange<Slot>& exchange) {
+void agree_on_rounds(comm::Comm& comm, Exchange& exchange) {
   exchange.begin_at_source.resize(exchange.begin.size());
   comm::exchange_counts(comm, exchange.begin, exchange.begin_at_source);
   exchange.leaving_max = exchange.grouped.size();
@@ -95,9 +92,8 @@ struct Window {
 
 // Sends the exports of one array to their new ranks, in rounds of at most round_bytes. They are received straight into
 // `to` [exchange.arriving], in the order of the sending ranks. Collective.
-template <typename T, typename Slot>
-void exchange_column(comm::Comm& comm, const Exchange<Slot>& exchange, const T* from, T* to,
-                     std::uint64_t round_bytes) {
+template <typename T>
+void exchange_column(comm::Comm& comm, const Exchange& exchange, const T* from, T* to, std::uint64_t round_bytes) {
   const std::size_t ranks = exchange.count.size();
   const std::uint64_t each = std::max<std::uint64_t>(1, round_bytes / sizeof(T));
   const std::uint64_t leaving = exchange.grouped.size();
@@ -130,7 +126,7 @@ struct Column {
 };
 
 // Sends all columns in one exchange; a destination's message holds one column after another. Collective.
-void exchange_at_once(comm::Comm& comm, const Exchange<std::uint64_t>& exchange, std::span<const Column> columns) {
+void exchange_at_once(comm::Comm& comm, const Exchange& exchange, std::span<const Column> columns) {
   std::size_t width = 0;
   for (const Column& column : columns) width += column.width;
   Buffer<std::byte> packed(exchange.grouped.size() * width);
@@ -165,7 +161,7 @@ void exchange_at_once(comm::Comm& comm, const Exchange<std::uint64_t>& exchange,
 // since each exchange costs a synchronisation; many travel column by column, which takes less memory.
 Arrivals receive_apart(comm::Comm& comm, Scene& scene, const Exports& exports, std::span<const std::uint64_t> from,
                        bool few, const ExchangeLimits& limits) {
-  auto exchange = plan_exchange<std::uint64_t>(comm, scene, exports, from);
+  auto exchange = plan_exchange(comm, scene, exports, from);
   Arrivals arrivals;
   arrivals.particles.dims = scene.options.dims;
   arrivals.particles.has_weights = scene.particles.has_weights;
@@ -189,20 +185,19 @@ Arrivals receive_apart(comm::Comm& comm, Scene& scene, const Exports& exports, s
 
 // A full change: all of a rank's particles, old and new, in ascending id. Array by array, the arrivals are received
 // behind the last element and the array is reordered. Collective.
-template <typename Slot>
 void change_all(comm::Comm& comm, Scene& scene, Exports exports, std::span<const std::uint64_t> from,
                 const ExchangeLimits& limits) {
-  auto exchange = plan_exchange<Slot>(comm, scene, exports, from);
+  auto exchange = plan_exchange(comm, scene, exports, from);
   agree_on_rounds(comm, exchange);
   const std::size_t before = scene.part.size();
-  Buffer<Slot> order(before - exports.slots.size() + exchange.arriving);
+  Buffer<std::uint64_t> order(before - exports.slots.size() + exchange.arriving);
   std::size_t placed = 0;
   auto exported = exports.slots.begin();
   for (std::uint64_t slot = 0; slot < before + exchange.arriving; ++slot) {
     if (exported != exports.slots.end() && *exported == slot)
       ++exported;
     else
-      order[placed++] = static_cast<Slot>(slot);
+      order[placed++] = slot;
   }
   exports = {};
   const auto take_in = [&](auto& values) {
@@ -269,16 +264,9 @@ void fill_holes(Scene& scene, std::span<const std::uint64_t> leaving, Arrivals& 
 // from: by rank, how many particles arrive from it; changed: exports, all ranks together. Collective.
 void exchange_particles(comm::Comm& comm, Scene& scene, Exports exports, std::span<const std::uint64_t> from,
                         std::uint64_t changed, bool full, const ExchangeLimits& limits) {
-  if (!full) {
-    Arrivals arrivals = receive_apart(comm, scene, exports, from, changed <= limits.few, limits);
-    fill_holes(scene, exports.slots, arrivals);
-    return;
-  }
-  const std::uint64_t slots = std::accumulate(from.begin(), from.end(), std::uint64_t{scene.part.size()});
-  if (slots <= limits.narrow_slots)
-    change_all<std::uint32_t>(comm, scene, std::move(exports), from, limits);
-  else
-    change_all<std::uint64_t>(comm, scene, std::move(exports), from, limits);
+  if (full) return change_all(comm, scene, std::move(exports), from, limits);
+  Arrivals arrivals = receive_apart(comm, scene, exports, from, changed <= limits.few, limits);
+  fill_holes(scene, exports.slots, arrivals);
 }
 
 Exports exports_of(const comm::Comm& comm, const Scene& scene, std::vector<std::uint64_t> slots) {

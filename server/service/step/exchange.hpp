@@ -4,11 +4,10 @@
 // 1. Every particle travels once, straight to the rank that owns its part: array after array if there are many, in one
 //    exchange if there are few.
 // 2. After a full change a rank holds its particles in ascending id. After another one those that stay keep their
-// slots;
-//    the others fill what is free.
-// 3. Memory of a rank for a full change, besides its particles (before or after it, whichever are more): 12 bytes for
-//    each of them, 8 for each arriving and 4 for each leaving particle, if slots fit in 32 bits; and
-//    ExchangeLimits::round_bytes for what is being sent. The given list of exports is freed first.
+//    slots; the others fill what is free.
+// 3. Memory of a rank for a full change, besides its particles (before or after it, whichever are more): 16 bytes for
+//    each of them, 8 for each arriving and 8 for each leaving particle; and ExchangeLimits::round_bytes for what is
+//    being sent. The given list of exports is freed first.
 #pragma once
 
 #include <cstdint>
@@ -20,9 +19,8 @@
 namespace rcb::service {
 
 struct ExchangeLimits {
-  std::uint64_t few = 100'000;                           // up to this many exports in all go in one exchange
-  std::uint64_t round_bytes = std::uint64_t{8} << 20U;   // otherwise: bytes that a rank sends in one round
-  std::uint64_t narrow_slots = std::uint64_t{1} << 32U;  // with at most this many slots, 32-bit slot numbers are used
+  std::uint64_t few = 100'000;                          // up to this many exports in all go in one exchange
+  std::uint64_t round_bytes = std::uint64_t{8} << 20U;  // otherwise: bytes that a rank sends in one round
 };
 
 // Whether so many change rank that all ranks go back to ascending id.

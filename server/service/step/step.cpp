@@ -27,12 +27,16 @@ void note_skips(const Scene& scene, const PushRequest& push, bool exchanged, Ste
   if (report.reductions > 0 && report.searched < scene.n) report.skipped.add(Skip::far_from_cuts);
 }
 
+void put(Scene& scene, partition::LoadSummary loads) {
+  scene.loads = std::make_shared<const partition::LoadSummary>(std::move(loads));
+}
+
 // Swaps in a new set of particles. Collective.
 void take_set(Context& context, Scene& scene, Staged& staged) {
   std::swap(scene.particles, staged.arrays);
   scene.n = staged.n;
   scene.ids = staged.ids;
-  scene.pushed = true;
+  scene.weights = scene.particles.has_weights;
   if (staged.same) return;
   scene.id_sum = staged.sums.id_sum;
   const std::uint64_t key = secret(context.comm);
@@ -66,15 +70,15 @@ partition::Repartition search(Context& context, Scene& scene, Staged& staged, St
   partition::RepartitionOptions options;
   options.partition = search_options(scene.options);
   options.partition.axis_hysteresis = scene.options.axis_hysteresis;
-  options.partition.previous = &scene.tree;
-  options.incremental = !context.no_skip.full_search && scene.full_searches_left == 0;
+  options.partition.previous = scene.tree.get();
+  options.incremental = !context.options.no_skip.full_search && scene.full_searches_left == 0;
   options.before_search_of_all = [&staged] {
     for (auto& axis : staged.arrays.position) axis.release();  // a full search needs as much memory
   };
   const auto own = layout::parts_of_rank(context.comm.rank(), scene.options.parts, context.comm.size());
   partition::Repartition found =
       partition::repartition(context.comm, scene.particles.view(), options,
-                             {scene.tree, scene.part.span(), scene.loads, {own.begin, own.end}, staged.ranges()});
+                             {*scene.tree, scene.part.span(), *scene.loads, {own.begin, own.end}, staged.ranges()});
   // After a wasted incremental search the next 1, 3, then kFullSearchesMax repartitions search all particles.
   if (options.incremental)
     scene.full_searches_left = scene.full_searches_last =
@@ -91,13 +95,13 @@ partition::Repartition search(Context& context, Scene& scene, Staged& staged, St
 bool try_repartition(Context& context, Scene& scene, Staged& staged, const Decision& decision, double error_before,
                      StepReport& report) {
   partition::Repartition found = search(context, scene, staged, report);
-  if (may_be_wasted(scene.options, scene.loads) && !(found.loads.error < error_before)) {
+  if (may_be_wasted(scene.options, *scene.loads) && !(found.loads.error < error_before)) {
     report.reason = reason_not_adopted(decision, found.loads.error);
     return false;
   }
   report.repartitioned = true;
   report.reason = reason_adopted(decision, found.loads.error);
-  report.axes_flipped = cuts::axes_flipped(scene.tree, found.tree);
+  report.axes_flipped = cuts::axes_flipped(*scene.tree, found.tree);
   std::array<std::uint64_t, 2> changed{found.delta.slot.size(), 0};  // part, and rank too
   const auto rank_of = [&](std::int32_t part) {
     return layout::rank_of_part(part, scene.options.parts, context.comm.size());
@@ -129,26 +133,24 @@ void take_drift(Context& context, Scene& scene, Staged& staged) {
     context.comm.all_sum(change);
   }
   for (std::size_t k = 0; k < drift.count(); ++k) scene.part[drift.slot[k]] = drift.part[k];
-  scene.told_loads.reset();
   if (weighted) {
-    scene.loads = partition::summarise_loads(context.comm, scene.particles.view(), scene.part.span(),
-                                             scene.options.part_sizes, scene.options.parts);
+    put(scene, partition::summarise_loads(context.comm, scene.particles.view(), scene.part.span(),
+                                          scene.options.part_sizes, scene.options.parts));
     return;
   }
-  std::vector<std::uint64_t> counts = std::move(scene.loads.counts);
+  std::vector<std::uint64_t> counts = scene.loads->counts;
   for (std::size_t p = 0; p < counts.size(); ++p) counts[p] += change[p];
-  scene.loads = partition::summarise_counts(std::move(counts), scene.options.part_sizes);
+  put(scene, partition::summarise_counts(std::move(counts), scene.options.part_sizes));
 }
 
 // A new set of particles with their parts. Collective.
 void take_rows(Context& context, Scene& scene, Staged& staged) {
   take_set(context, scene, staged);
   scene.part.swap(staged.part);
-  scene.told_loads.reset();
-  scene.loads = staged.sums.counts.empty()
-                    ? partition::summarise_loads(context.comm, scene.particles.view(), scene.part.span(),
-                                                 scene.options.part_sizes, scene.options.parts)
-                    : partition::summarise_counts(std::move(staged.sums.counts), scene.options.part_sizes);
+  put(scene, staged.sums.counts.empty()
+                 ? partition::summarise_loads(context.comm, scene.particles.view(), scene.part.span(),
+                                              scene.options.part_sizes, scene.options.parts)
+                 : partition::summarise_counts(std::move(staged.sums.counts), scene.options.part_sizes));
 }
 
 // Returns whether new cuts were searched in vain.
@@ -162,11 +164,11 @@ bool later_step(Context& context, Scene& scene, Staged& staged, const PushReques
   report.drifted = staged.held ? staged.sums.drifted : push.drifted.value_or(0);
   const bool full_change = is_full_change(staged.sums.exported, scene.n);
   if (full_change) staged.arrays = {};  // it needs memory itself
-  const double error_before = scene.loads.error;
+  const double error_before = scene.loads->error;
   report.error_before = error_before;
   // Cuts made without particles divide nothing, so they are searched anew, whatever the policy.
   const Decision decision = was_empty && scene.n > 0 ? Decision{true, "the scene had no particles before"}
-                                                     : decide_step(scene.options, scene.loads, push.terms);
+                                                     : decide_step(scene.options, *scene.loads, push.terms);
   report.reason = decision.reason;
   // An incremental search pays where nearly all particles are on the ranks that own their parts.
   if (decision.search && full_change) {
@@ -178,7 +180,7 @@ bool later_step(Context& context, Scene& scene, Staged& staged, const PushReques
   bool wasted = false;
   if (decision.search)
     wasted = !try_repartition(context, scene, staged, decision, error_before, report);
-  else if (context.no_skip.search)
+  else if (context.options.no_skip.search)
     search(context, scene, staged, report);
   report.seconds.search = context.clock.seconds() - start;
   return wasted;
@@ -193,12 +195,12 @@ bool migrate(Context& context, Scene& scene, Staged& staged, bool first, StepRep
     sent = send_strangers(context.comm, scene, first);
   } else if (sent > 0) {
     send_exports(context.comm, scene, std::move(staged.exports), sent, staged.sums.from_to);
-  } else if (context.no_skip.exchange) {  // of nothing, for measurement
+  } else if (context.options.no_skip.exchange) {  // of nothing, for measurement
     const auto ranks = static_cast<std::size_t>(context.comm.size());
     context.comm.exchange(std::vector<std::span<const std::byte>>(ranks), std::vector<std::span<std::byte>>(ranks));
   }
   (report.repartitioned ? report.seconds.migrate : report.seconds.exchange) = context.clock.seconds() - start;
-  return sent > 0 || (context.no_skip.exchange && !first);
+  return sent > 0 || (context.options.no_skip.exchange && !first);
 }
 
 }  // namespace
@@ -215,28 +217,11 @@ partition::PartitionOptions search_options(const SceneOptions& options) {
 void adopt(Scene& scene, NewCuts found, partition::LoadSummary loads) {
   scene.search_rounds = found.rounds;
   scene.search_reductions = found.reductions;
-  scene.tree = std::move(found.tree);
-  scene.tree_hash.reset();
+  scene.hash = found.tree.hash();
+  scene.tree = std::make_shared<const cuts::CutTree>(std::move(found.tree));
   scene.known_cuts.reset();
-  scene.told_tree.reset();
-  scene.loads = std::move(loads);
-  scene.told_loads.reset();
+  put(scene, std::move(loads));
   ++scene.epoch;
-}
-
-scene::Held held_of(Scene& scene) {
-  if (!scene.told_loads && scene.pushed) scene.told_loads = std::make_shared<const partition::LoadSummary>(scene.loads);
-  if (!scene.told_tree && scene.pushed) scene.told_tree = std::make_shared<const cuts::CutTree>(scene.tree);
-  return {.n = scene.n,
-          .weights = scene.particles.has_weights,
-          .ids = scene.ids,
-          .epoch = scene.epoch,
-          .hash = scene.pushed ? scene.cuts_hash() : 0,
-          .tree = scene.told_tree,
-          .loads = scene.told_loads,
-          .id_sum = scene.id_sum,
-          .search_rounds = scene.search_rounds,
-          .search_reductions = scene.search_reductions};
 }
 
 scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push) {
@@ -259,9 +244,9 @@ scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const Push
   report.n = scene.n;
   report.parts = scene.options.parts;
   report.epoch = scene.epoch;
-  report.error = scene.loads.error;
-  report.imbalance = scene.loads.imbalance;
-  report.weights_as_zero = scene.loads.weights_as_zero;
+  report.error = scene.loads->error;
+  report.imbalance = scene.loads->imbalance;
+  report.weights_as_zero = scene.loads->weights_as_zero;
   staged.scan = {};  // frees its memory for the migration
   const bool exchanged = migrate(context, scene, staged, first, report);
   note_skips(scene, push, exchanged, report);
@@ -271,7 +256,7 @@ scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const Push
   stepped.session = push.id.session;
   stepped.step_seconds = push.step_seconds;
   stepped.drifted = push.drifted;
-  stepped.held = held_of(scene);
+  stepped.held = scene;
   return stepped;
 }
 

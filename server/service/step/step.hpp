@@ -27,7 +27,4 @@ struct NewCuts {
 // afterwards. Local.
 void adopt(Scene& scene, NewCuts found, partition::LoadSummary loads);
 
-// What the ledger is told of what the ranks hold. Local, on rank 0.
-scene::Held held_of(Scene& scene);
-
 }  // namespace rcb::service

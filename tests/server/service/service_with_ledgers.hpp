@@ -82,8 +82,6 @@ class Service {
     return response;
   }
 
-  std::vector<service::Spare> take_spares() { return service_.take_spares(); }
-
  private:
   bool root() const { return comm_.rank() == 0; }
 
