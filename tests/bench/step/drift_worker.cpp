@@ -55,7 +55,7 @@ Held hold(comm::Comm& comm, const SceneKind& kind, const Cell& cell) {
   options.parts = cell.parts;
   auto found = partition::partition(comm, scene.particles.view(), options);
   RCB_CHECK(found.ok(), found.status().message());
-  scene.tree = std::move(found->tree);
+  scene.tree = std::make_shared<const cuts::CutTree>(std::move(found->tree));
   scene.part = std::move(found->part);
   service::send_strangers(comm, scene, true);
   for (std::size_t a = 0; a < static_cast<std::size_t>(kind.dims); ++a) held.start[a] = scene.particles.position[a];
@@ -83,7 +83,7 @@ void flow(Held& held, double amplitude) {
 double crossed(comm::Comm& comm, const Held& held, Buffer<std::int32_t>& part) {
   const auto view = held.scene.particles.view();
   part.resize(view.count);
-  held.scene.tree.classify(view, part.span());
+  held.scene.tree->classify(view, part.span());
   std::uint64_t count = 0;
   for (std::size_t i = 0; i < part.size(); ++i) count += part[i] != held.scene.part[i] ? 1U : 0U;
   comm.all_sum({&count, 1});
@@ -134,10 +134,10 @@ Json run_cell(comm::Comm& comm, const SceneKind& kind, const Cell& cell, double 
       partition::RepartitionOptions options;
       options.partition.parts = cell.parts;
       options.partition.axis_hysteresis = kWays[w].hysteresis;
-      options.partition.previous = &held.scene.tree;
+      options.partition.previous = held.scene.tree.get();
       options.incremental = kWays[w].incremental;
       const double took = timed(comm, [&] {
-        found[w] = partition::repartition(comm, view, options, {held.scene.tree, part.span(), loads, own, &blocks});
+        found[w] = partition::repartition(comm, view, options, {*held.scene.tree, part.span(), loads, own, &blocks});
       });
       if (repeat >= 0) seconds[w].push_back(took);
     }
@@ -154,7 +154,7 @@ Json run_cell(comm::Comm& comm, const SceneKind& kind, const Cell& cell, double 
                            {"looked_at", found[w].looked_at},
                            {"warm", found[w].incremental},
                            {"reductions", found[w].reductions},
-                           {"axes_flipped", cuts::axes_flipped(held.scene.tree, found[w].tree)},
+                           {"axes_flipped", cuts::axes_flipped(*held.scene.tree, found[w].tree)},
                            {"error", found[w].loads.error},
                            {"hash", fmt::format("{:016x}", found[w].tree.hash())}});
   }
