@@ -9,9 +9,9 @@ using wire::Json;
 
 namespace {
 
-Json block_json(const OpenPush& push) {
+Json block_json(const Block& push) {
   const PushTerms& terms = push.slices.terms();
-  Json block{{"seat", std::max(push.seat, 0)},
+  Json block{{"seat", push.seat},
              {"n", terms.n},
              {"path", terms.from_memory() ? "shared"
                       : terms.to_ranks()  ? "direct"
@@ -81,30 +81,28 @@ class Together {
 
 }  // namespace
 
-PushOrder order_of(std::span<const std::shared_ptr<OpenPush>> pushes, std::size_t seats, const scene::Ledger& ledger) {
+PushOrder order_of(const OpenStep& step, const scene::Ledger& ledger) {
   PushOrder order;
   OrderOptions& options = order.options;
   Together all(ledger.now());
   Json blocks = Json::array();
-  for (const auto& push : pushes) {
+  for (const auto& push : step.blocks) {
     const PushTerms& terms = push->slices.terms();
     all.add(terms);
-    if (seats > 0) options.sessions.push_back(scene::session_key(terms.id.session));
+    options.sessions.push_back(scene::session_key(terms.id.session));
     options.charged_bytes += std::exchange(push->charged_bytes, 0);
     if (terms.n > 0) blocks.push_back(block_json(*push));
     if (auto slice = push->slices.take()) {
-      slice->seat = std::max(push->seat, 0);
+      slice->seat = static_cast<int>(push->seat);
       options.slices.push_back(std::move(*slice));
     }
   }
-  const PushId& id = pushes.front()->slices.terms().id;
-  options.changes = id.scene;
+  options.changes = step.scene;
   order.request = all.json();
   order.request.update({{"command", "push"},
-                        {"scene", id.scene},
-                        {"session", seats > 0 ? kSeatsSession : id.session},
-                        {"step", id.step},
-                        {"seats", seats},
+                        {"scene", step.scene},
+                        {"step", step.number},
+                        {"seats", step.blocks.size()},
                         {"blocks", std::move(blocks)}});
   if (ledger.now().others) order.request["counted_ids"] = *ledger.now().id_sum;
   if (Json terms = to_json(ledger.terms(all.terms().step_seconds)); !terms.empty())

@@ -24,36 +24,35 @@ void tell_counting(const SeatCount& counting, FrameType type, const std::string&
 }  // namespace
 
 Status SeatGroups::count(CountBegin begin) {
-  Group* group = find(begin.scene);
-  const auto seat = group == nullptr ? std::nullopt : seat_of(*group, begin.connection.get());
-  if (!seat) return {Code::aborted, "another generation of this seat has opened the scene", "open it again"};
-  scene::Ledger* ledger = coordinator_.scenes().find(begin.scene);
-  if (ledger == nullptr) return coordinator_.unknown_scene(begin.scene);
-  if (group->counting && !begin.fault.ok() && begin.step == group->counting->tally.step()) {
-    end_count(*group, {begin.fault.code(), name(begin.scene, *seat) + ": " + begin.fault.message(), kRepeat});
+  const std::string scene = begin.id.scene;
+  const auto role = role_of(begin.id, begin.connection.get());
+  if (!role.ok()) return role.status();
+  scene::Ledger& ledger = *coordinator_.scenes().find(scene);
+  SceneGate& gate = coordinator_.gate(scene);
+  if (!begin.fault.ok()) {
+    if (gate.counting && begin.id.step == gate.counting->tally.step())
+      end_count(scene, {begin.fault.code(), name(scene, role->seat) + ": " + begin.fault.message(), kRepeat});
     return begin.fault;
   }
-  if (!begin.fault.ok()) return begin.fault;
-  if (const Status fits = ledger->check_seat(*begin.record); !fits.ok()) {
-    // A seat that repeats a step of which the others have the answer.
-    if (fits.code() != Code::stale_step || !ledger->was_in_last(begin.record->session, begin.step)) return fits;
-    return send_to(begin, api::repeated_to_seat(*ledger));
-  }
-  const auto open = coordinator_.gate(begin.scene).push;
-  if (open && open->round) return send_to(begin, R"({"send":"other seats push this step"})");
-  if (group->counting && group->counting->tally.step() != begin.step)
+  const auto tell = [&begin](const std::string& json) {
+    begin.connection->send_text(FrameType::reply, begin.request, json);
+    return Status();
+  };
+  if (const Status fits = ledger.check_seat(*begin.record); !fits.ok())
+    return ledger.was_in_last(begin.id.session, begin.id.step) ? tell(api::repeated(ledger)) : fits;
+  if (gate.step) return tell(R"({"send":"the step is being pushed"})");
+  if (gate.counting && gate.counting->tally.step() != begin.id.step)
     return {Code::invalid_argument,
-            fmt::format("seat {} counts step {}, the others count step {}", *seat, begin.step,
-                        group->counting->tally.step()),
+            fmt::format("seat {} counts step {}, the others count step {}", role->seat, begin.id.step,
+                        gate.counting->tally.step()),
             "all seats count the same step"};
-  if (!group->counting) open_count(begin.scene, begin.step, *group);
-  SeatCount& counting = *group->counting;
-  begin.session = scene::session_key(begin.record->session);
-  counting.tally.put(*seat, std::move(*begin.record));
+  const bool fresh = !gate.counting;
+  if (fresh) gate.counting = std::make_shared<SeatCount>(coordinator_.context(), begin.id.step, role->seats);
+  SeatCount& counting = *gate.counting;
+  counting.tally.put(role->seat, std::move(*begin.record));
   begin.record.reset();
-  const TimePoint end = begin.end;
-  const auto older = std::exchange(counting.waiting[*seat], std::move(begin));
-  const TimePoint before = counting.end;
+  const TimePoint end = begin.end, before = counting.end;
+  const auto older = std::exchange(counting.waiting[role->seat], std::move(begin));
   if (older) {
     older->connection->send(FrameType::failure, older->request,
                             wire::failure_json({Code::aborted, "a newer count by the same seat replaced it"}));
@@ -63,43 +62,34 @@ Status SeatGroups::count(CountBegin begin) {
   }
   counting.end = std::min(counting.end, end);
   if (counting.end != before) counting.timer.cancel();  // so that the deadline is heeded
-  if (counting.tally.whole()) decide(*group, *ledger);
+  if (counting.tally.whole())
+    decide(scene, ledger);
+  else if (fresh)
+    asio::co_spawn(coordinator_.context(), watch_count(coordinator_.shared_from_this(), scene, gate.counting),
+                   asio::detached);
   return {};
 }
 
-Status SeatGroups::send_to(const CountBegin& begin, const std::string& json) {
-  begin.connection->send_text(FrameType::reply, begin.request, json);
-  return {};
-}
-
-void SeatGroups::decide(Group& group, scene::Ledger& ledger) {
-  auto all = group.counting->tally.sum(ledger.now().options.parts);
-  if (!all.ok()) return end_count(group, all.status());
-  all->session = kSeatsSession;
-  for (const auto& begin : group.counting->waiting) all->sessions.push_back(begin->session);
+void SeatGroups::decide(const std::string& scene, scene::Ledger& ledger) {
+  const SeatCount& counting = *coordinator_.gate(scene).counting;
+  auto all = counting.tally.sum(ledger.now().options.parts);
+  if (!all.ok()) return end_count(scene, all.status());
+  for (const auto& begin : counting.waiting) all->sessions.push_back(scene::session_key(begin->id.session));
   const scene::CountVerdict verdict = ledger.count(*all);
-  if (const auto* refused = std::get_if<Status>(&verdict.is)) return end_count(group, *refused);
-  answer_count(group, api::verdict_text(ledger, verdict));
+  if (const auto* refused = std::get_if<Status>(&verdict.is)) return end_count(scene, *refused);
+  answer_count(scene, FrameType::reply, api::verdict_text(ledger, verdict));
 }
 
-void SeatGroups::answer_count(Group& group, const std::string& json) { close_count(group, FrameType::reply, json); }
-
-void SeatGroups::end_count(Group& group, const Status& why) {
-  close_count(group, FrameType::failure, wire::dump_json(wire::failure_json(why)));
+void SeatGroups::end_count(const std::string& scene, const Status& why) {
+  answer_count(scene, FrameType::failure, wire::dump_json(wire::failure_json(why)));
 }
 
-void SeatGroups::close_count(Group& group, FrameType type, const std::string& json) {
-  const auto counting = std::exchange(group.counting, nullptr);
+void SeatGroups::answer_count(const std::string& scene, FrameType type, const std::string& json) {
+  const auto counting = std::exchange(coordinator_.gate(scene).counting, nullptr);
   if (counting == nullptr) return;
   counting->over = true;
   counting->timer.cancel();
   tell_counting(*counting, type, json);
-}
-
-void SeatGroups::open_count(const std::string& scene, std::int64_t step, Group& group) {
-  group.counting = std::make_shared<SeatCount>(coordinator_.context(), step, group.seats.size());
-  asio::co_spawn(coordinator_.context(), watch_count(coordinator_.shared_from_this(), scene, group.counting),
-                 asio::detached);
 }
 
 std::string SeatGroups::missing(const std::string& scene, const SeatCount& counting) const {
@@ -117,11 +107,11 @@ awaitable<void> SeatGroups::watch_count(std::shared_ptr<Coordinator> self, std::
     co_await counting->timer.async_wait(kAwait);
     if (counting->over) break;
     if (now() >= counting->end) {
-      if (Group* group = find(scene); group != nullptr && group->counting == counting)
-        end_count(*group, {Code::deadline_exceeded,
-                           fmt::format("step {} of scene '{}' was given up at its deadline: {} had not counted it",
-                                       counting->tally.step(), scene, missing(scene, *counting)),
-                           kRepeat});
+      end_count(scene, {Code::deadline_exceeded,
+                        fmt::format("step {} of scene '{}' was given up at its deadline: {} had not counted it",
+                                    counting->tally.step(), scene, missing(scene, *counting)),
+                        kRepeat});
+      self->erase_gate_if_unused(scene);
       break;
     }
     if (now() < notice_at) continue;

@@ -266,14 +266,11 @@ awaitable<void> Session::scene_change(Request& request) {
   const bool drops = request.command == "scene.drop" || wire::is_true(request.json, "replace");
   const bool waits = request.command != "scene.create" || drops;
   Status turn;
-  const auto own_is_open = [this, &gate] {
-    if (!gate.push) return false;
-    return gate.push->round ? gate.push->round->awaits(connection_.get()) : gate.push->connection == connection_;
-  };
-  if (own_is_open())
+  const auto own = gate.step ? gate.step->block_of(connection_.get()) : nullptr;
+  if (own && !own->ready())
     turn = Status(Code::busy, fmt::format("this connection has a push open on scene '{}'", *scene), "finish it first");
   else
-    turn = co_await wait_turn(request, *scene, [&gate, waits] { return !waits || !gate.push; });
+    turn = co_await wait_turn(request, *scene, [&gate, waits] { return !waits || !gate.step; });
   const bool changes = changes_parts(request.command, request.json, coordinator_->scenes().find(*scene));
   // A file's particles are a push, too: a first one, of which those who have the scene open would not know.
   const bool loads = request.command == "load";
@@ -410,7 +407,7 @@ awaitable<Status> Session::wait_turn(const Request& request, const std::string& 
       status = Status(Code::deadline_exceeded, fmt::format("'{}' waited {} s for its turn at scene '{}'",
                                                            request.command, request.deadline_seconds, scene));
     if (!status.ok()) break;
-    co_await nap(place.timer(), request, notice_at, gate.push ? "a push of the scene to end" : "its turn at the scene");
+    co_await nap(place.timer(), request, notice_at, gate.step ? "a push of the scene to end" : "its turn at the scene");
   }
   co_return status;
 }

@@ -95,9 +95,6 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   if (Status arrays = check_arrays(terms, scene, seats); !arrays.ok()) return arrays;
   if (terms.from_memory() && terms.n > 0)
     if (Status shared = check_shared(terms, scene, seats); !shared.ok()) return shared;
-  if (seats == 0 && scene.step)
-    if (Status all = scene::check_conserved(id.scene, scene.n, terms.n, terms.inserted, terms.removed); !all.ok())
-      return all;
   if (terms.bytes() > bytes_max)
     return Status(Code::too_large, fmt::format("the push has {} bytes, at most {} are taken", terms.bytes(), bytes_max),
                   "start the service with a larger --bulk-bytes, or on a larger machine");

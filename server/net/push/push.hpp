@@ -33,10 +33,10 @@ struct PushTerms : api::Push {
   std::uint64_t bytes() const { return 8 * n * (static_cast<unsigned>(dims) + (weights ? 1U : 0U) + (ids ? 1U : 0U)); }
 };
 
-// Reads a push.begin and checks it against what is known of its scene. seats: that push the scene together; 0: one
-// client alone. Errors: invalid_argument, not_found, stale_step, not_conserved, too_large, unsupported.
+// Reads a push.begin and checks it against what is known of its scene. seats: that push the scene together. Errors:
+// invalid_argument, not_found, stale_step, too_large, unsupported.
 Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const scene::SceneState& scene,
-                                  int ranks, std::uint64_t bytes_max, std::size_t seats = 0);
+                                  int ranks, std::uint64_t bytes_max, std::size_t seats);
 
 // Whether slices for the ranks may follow this push.begin on connections of their own, though it was refused.
 bool may_bring_slices(const wire::Json& request);

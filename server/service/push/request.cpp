@@ -38,10 +38,10 @@ api::Way way_of(const std::vector<Block>& blocks) {
 
 Result<PushRequest> read_order(const wire::Json& request, int ranks) {
   wire::FieldReader fields(request);
-  api::PushId id{.scene = fields.text("scene", 64), .session = fields.text("session", 64)};
+  api::PushId id{.scene = fields.text("scene", 64)};
   id.step = fields.integer("step", 0, wire::kStepMax);
   PushRequest order;
-  order.seats = static_cast<int>(fields.integer_or("seats", 0, wire::kSeatsMax, 0));
+  order.seats = static_cast<int>(fields.integer_or("seats", 1, wire::kSeatsMax, 1));
   if (!fields.ok()) return fields.status();
   auto push = api::read_push(request, std::move(id), ranks);
   if (!push.ok()) return push.status();

@@ -230,10 +230,10 @@ class Driver {
   // By one client, all rows in order, by `path`; rows with ids can't be found by the particles held, and are listed.
   Response push(const Particles& particles, std::int64_t step, const std::string& session = "s") {
     const Path way = path == Path::held && !particles.ids.empty() ? Path::listed : path;
-    return push(particles, {all_rows(particles, way)}, step, !particles.ids.empty(), 0, {{"session", session}});
+    return push(particles, {all_rows(particles, way)}, step, !particles.ids.empty(), 1, {{"session", session}});
   }
 
-  // By seats; 0: by one client that is none. more: fields of the order.
+  // more: fields of the order.
   Response push(const Particles& particles, std::vector<Block> blocks, std::int64_t step, bool ids, int seats,
                 const Json& more = Json::object()) {
     Json request{{"command", "push"}, {"scene", scene_},         {"session", "s"},

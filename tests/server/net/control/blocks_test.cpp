@@ -32,7 +32,6 @@ class OneScene final : public Engine {
       scene::Stepped stepped;
       stepped.report.step = last_step = order.request["step"].get<std::int64_t>();
       stepped.report.positions_step = last_step;
-      stepped.session = order.request["session"];
       stepped.held = {.n = 10, .weights = weights, .ids = ids, .epoch = 3};
       stepped.held.loads = std::make_shared<const partition::LoadSummary>();
       answer.change = {"s", std::move(stepped)};
@@ -289,7 +288,7 @@ TEST_F(Blocks, ANewerAttemptReplacesTheOlderOfTheSameSeat) {
   direct(0, {4, 0, 1}, {{"attempt", 3}});
   refused(0, "aborted", "newer attempt");
   direct(0, {4, 0, 1}, {{"attempt", 2}});
-  refused(0, "busy", "already");
+  refused(0, "aborted", "attempt 3 of step 8 is open");
   settle();
   ASSERT_EQ(plane_.opened.size(), 2U);
   ASSERT_EQ(plane_.dropped.size(), 2U);
@@ -363,8 +362,8 @@ TEST_F(Blocks, WhatDoesNotFitTheSceneIsRefusedAlone) {
   refused(0, "not_found", "made anew");
   direct(0, mine, Json::object(), 9);
   refused(0, "invalid_argument", "the others push step 8");
-  direct(0, mine, Json::object(), 7);
-  refused(0, "stale_step", "step 7");
+  direct(0, mine, Json::object(), 6);
+  refused(0, "stale_step", "step 6");
   settle();
   EXPECT_EQ(plane_.dropped.size(), 9U);  // the other seat's is not among them
   EXPECT_EQ(plane_.opened.size(), 1U);
@@ -407,8 +406,7 @@ TEST_F(Blocks, OneClientPushesStraightToTheRanks) {
   whole(2, number);
   EXPECT_EQ(team_[0].receive_but_notices().json["report"]["step"], 8);
   const Json& order = engine_.pushed.at(0);
-  EXPECT_EQ(order["seats"], 0);
-  EXPECT_EQ(order["session"], kSessions[0]);
+  EXPECT_EQ(order["seats"], 1);
   EXPECT_EQ(order["ids"], false);
   EXPECT_EQ(order["blocks"][0]["number"], number);
   EXPECT_EQ(order["blocks"][0]["seat"], 0);

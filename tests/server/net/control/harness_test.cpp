@@ -81,7 +81,6 @@ struct FakeEngine::State {
 
   static scene::Stepped push(const Json& request, const scene::SceneOptions& options) {
     scene::Stepped stepped;
-    stepped.session = request.value("session", "");
     stepped.report.step = request.value("step", std::int64_t{-1});
     stepped.report.positions_step = stepped.report.step;
     stepped.report.n = stepped.held.n = request.value("n", std::uint64_t{0});

@@ -35,7 +35,7 @@ class Restart : public ::testing::Test {
     ledgers.take({name, scene::Created{options, {}}}, 0xabc);
     for (int step = 0; step < steps; ++step) {
       scene::Stepped stepped = ranks.push(world.set, step, ledgers.find(name)->terms({}));
-      stepped.session = kAnna;
+      stepped.sessions = {scene::session_key(kAnna)};
       hash_ = wire::hex64(stepped.held.hash);
       ledgers.take({name, std::move(stepped)}, 0);
       world.move(random);

@@ -433,7 +433,7 @@ TEST(Session, FieldsOfTheInsideDontComeFromOutside) {
   anna.begin(kAnna, 0, 4, {{"blocks", 7}, {"seats", 3}});
   anna.slice(kAnna, 0, 4);
   EXPECT_EQ(anna.receive_but_notices().json["report"]["step"], 0);
-  EXPECT_EQ(service.engine().request()["seats"], 0);
+  EXPECT_EQ(service.engine().request()["seats"], 1);
   EXPECT_EQ(service.engine().request()["blocks"],
             Json::array({{{"seat", 0}, {"n", 4}, {"path", "gateway"}, {"dtype", "<f8"}}}));
   for (const char* command : {"push", "plan", "nonsense", ""})

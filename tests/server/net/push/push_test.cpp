@@ -231,16 +231,14 @@ TEST_F(Push, AStepThatIsNotAboveTheLastIsNotOrdered) {
   commit(anna_, kAnna, 4, 4);
   commit(anna_, kAnna, 5, 4);
   service_.engine().hold();
-  for (const std::int64_t step : {4, 5}) {
-    anna_.begin(kAnna, step, 4);
-    const Received again = anna_.receive_but_notices();
-    EXPECT_EQ(again.json["repeated"], true);
-    EXPECT_EQ(again.json["report"]["step"], step);
-    anna_.slice(kAnna, step, 4);  // dropped
-    bert_.begin(kBert, step, 4);
-    EXPECT_EQ(bert_.receive_but_notices().code(), "stale_step") << step;
-  }
-  anna_.begin(kAnna, 3, 4);
+  anna_.begin(kAnna, 5, 4);
+  const Received again = anna_.receive_but_notices();
+  EXPECT_EQ(again.json["repeated"], true);
+  EXPECT_EQ(again.json["report"]["step"], 5);
+  anna_.slice(kAnna, 5, 4);  // dropped
+  bert_.begin(kBert, 5, 4);
+  EXPECT_EQ(bert_.receive_but_notices().code(), "stale_step");
+  anna_.begin(kAnna, 4, 4);
   EXPECT_EQ(anna_.receive_but_notices().code(), "stale_step");
   EXPECT_EQ(service_.engine().executed().size(), 3U);
 }
