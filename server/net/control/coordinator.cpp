@@ -250,26 +250,19 @@ void Coordinator::watch_arrival(const std::shared_ptr<Block>& block) {
   });
 }
 
-std::shared_ptr<Block> Coordinator::find_block(const PushId& id, const Connection* connection) {
-  const auto found = gates_.find(id.scene);
-  if (found == gates_.end() || !found->second.step) return nullptr;
-  auto block = found->second.step->block_of(connection);
-  return block && block->number == 0 && block->slices.terms().id == id ? block : nullptr;
-}
-
-bool Block::ready() const { return slices.whole() && std::find(whole.begin(), whole.end(), false) == whole.end(); }
+bool Block::ready() const { return !rows_missing && std::find(whole.begin(), whole.end(), false) == whole.end(); }
 
 std::uint64_t Block::bytes_arrived() const {
   return std::accumulate(arrived_bytes.begin(), arrived_bytes.end(), connection->bytes_received());
 }
 
 std::string Block::progress() const {
-  if (number == 0) return fmt::format("{} of {} bytes have come", charged_bytes, slices.terms().bytes());
+  if (number == 0) return fmt::format("{} of {} bytes have come", charged_bytes, terms.bytes());
   return fmt::format("{} of {} ranks have their slices", std::count(whole.begin(), whole.end(), true), whole.size());
 }
 
 void Coordinator::receive_directly(const std::shared_ptr<Block>& block) {
-  const PushTerms& terms = block->slices.terms();
+  const PushTerms& terms = block->terms;
   block->number = ++pushes_numbered_;
   const auto ranks = static_cast<std::uint64_t>(options_.ranks);
   block->whole.assign(ranks, false);
@@ -288,7 +281,7 @@ void Coordinator::give_up(Block& block) {
   block.given_up = true;
   block.deadline.cancel();
   charged_bytes_ -= std::exchange(block.charged_bytes, 0);
-  if (block.number != 0) refuse_directly(block.slices.terms().id);
+  if (block.number != 0) refuse_directly(block.terms.id);
   receiving_.erase(block.number);
 }
 

@@ -160,16 +160,14 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   // Nothing of it is taken any more.
   void give_up(Block& block);
   SeatGroups& groups() { return groups_; }
-  // The open block with this id, if this connection opened it; else null.
-  std::shared_ptr<Block> find_block(const PushId& id, const Connection* connection);
-  // Tells the ranks with rows of a block on the direct path to receive them; SeatGroups::block_whole() when all have
+  // Tells the ranks that get rows of a block by their sockets to receive them; SeatGroups::block_whole() when all have
   // theirs.
   void receive_directly(const std::shared_ptr<Block>& block);
   void slice_reported(int rank, const SliceReport& report);
   // Tells the ranks to drop the slices of a push that will not be opened.
   void refuse_directly(const PushId& id);
   void serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses);
-  // The addresses, by rank, of the data listeners for clients of this endpoint; empty: there is no direct path.
+  // The addresses, by rank, of the data listeners for clients of this endpoint; empty: there are none.
   const std::vector<std::string>& data_addresses(const std::string& endpoint) const;
   void serve_this_machine(std::vector<LocalAddress> addresses) { local_addresses_ = std::move(addresses); }
   // By rank: its data listener for clients on its own machine.

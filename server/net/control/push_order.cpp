@@ -10,17 +10,13 @@ using wire::Json;
 namespace {
 
 Json block_json(const Block& push) {
-  const PushTerms& terms = push.slices.terms();
-  Json block{{"seat", push.seat},
-             {"n", terms.n},
-             {"path", terms.from_memory() ? "shared"
-                      : terms.to_ranks()  ? "direct"
-                                          : "gateway"},
-             {"dtype", terms.is_float32 ? "<f4" : "<f8"}};
+  const PushTerms& terms = push.terms;
+  Json block{
+      {"seat", push.seat}, {"n", terms.n}, {"way", name_of(terms.way)}, {"dtype", terms.is_float32 ? "<f4" : "<f8"}};
   if (!terms.counts.empty()) block["counts"] = terms.counts;
   if (push.number != 0) block["number"] = push.number;
   if (terms.from_memory())
-    block.update({{"session", terms.id.session}, {"memory", push.begin.at("memory")}, {"sockets", terms.by_socket}});
+    block.update({{"session", terms.id.session}, {"memory", push.memory}, {"sockets", terms.by_socket}});
   return block;
 }
 
@@ -87,15 +83,14 @@ PushOrder order_of(const OpenStep& step, const scene::Ledger& ledger) {
   Together all(ledger.now());
   Json blocks = Json::array();
   for (const auto& push : step.blocks) {
-    const PushTerms& terms = push->slices.terms();
+    const PushTerms& terms = push->terms;
     all.add(terms);
     options.sessions.push_back(scene::session_key(terms.id.session));
     options.charged_bytes += std::exchange(push->charged_bytes, 0);
     if (terms.n > 0) blocks.push_back(block_json(*push));
-    if (auto slice = push->slices.take()) {
-      slice->seat = static_cast<int>(push->seat);
-      options.slices.push_back(std::move(*slice));
-    }
+    if (!push->slice) continue;
+    push->slice->seat = static_cast<int>(push->seat);
+    options.slices.push_back(std::move(*push->slice));
   }
   options.changes = step.scene;
   order.request = all.json();

@@ -1,4 +1,4 @@
-// SeatGroups, part 2: a step that is pushed, from the first push.begin to the last answer.
+// SeatGroups, part 2: a step that is pushed, from its first block to the last answer.
 #include <algorithm>
 #include <utility>
 
@@ -70,10 +70,10 @@ Result<Role> SeatGroups::role_of(const PushId& id, const Connection* connection)
 Result<std::shared_ptr<OpenStep>> SeatGroups::step_for(const PushId& id, const Role& role) {
   auto step = coordinator_.gate(id.scene).step;
   const auto older = step ? step->blocks[role.seat] : nullptr;
-  if (older && older->slices.terms().id.attempt >= id.attempt)
+  if (older && older->terms.id.attempt >= id.attempt)
     return Status(Code::aborted, fmt::format("attempt {} of step {} is open, which is not older than {}",
-                                             older->slices.terms().id.attempt, step->number, id.attempt));
-  if (older && step->begun == 1) {
+                                             older->terms.id.attempt, step->number, id.attempt));
+  if (older && step->blocks.size() == 1) {
     abort(*step, {Code::aborted, kReplaced});
     step.reset();
   }
@@ -89,9 +89,9 @@ Result<std::shared_ptr<OpenStep>> SeatGroups::step_for(const PushId& id, const R
   return step;
 }
 
-Status SeatGroups::begin(BlockBegin begin) {
+Result<std::shared_ptr<Block>> SeatGroups::begin(BlockBegin begin) {
   const PushId id = begin.id;
-  // While this push.begin waited for its turn, much may have changed.
+  // While this push waited for its turn, much may have changed.
   const auto role = role_of(id, begin.connection.get());
   if (!role.ok()) return role.status();
   const scene::Ledger* ledger = coordinator_.scenes().find(id.scene);
@@ -99,11 +99,17 @@ Status SeatGroups::begin(BlockBegin begin) {
   if (ledger->was_in_last(id.session, id.step)) {
     if (may_bring_slices(begin.json)) coordinator_.refuse_directly(id);
     begin.connection->send_text(FrameType::reply, begin.request, api::repeated(*ledger));
-    return {};
+    return std::shared_ptr<Block>();
   }
   const ControlOptions& options = coordinator_.options();
   auto terms = read_push_terms(begin.json, id, ledger->now(), options.ranks, options.bulk_bytes_max, role->seats);
   if (!terms.ok()) return terms.status();
+  std::optional<Slice> slice;
+  if (terms->n > 0 && !terms->to_ranks()) {
+    auto made = make_slice(begin.json, begin.bulk_bytes, *terms, terms->n);
+    if (!made.ok()) return made.status();
+    slice = std::move(*made);
+  }
   const auto opened = step_for(id, *role);
   if (!opened.ok()) return opened.status();
   const std::shared_ptr<OpenStep>& step = *opened;
@@ -116,16 +122,18 @@ Status SeatGroups::begin(BlockBegin begin) {
   block->connection = std::move(begin.connection);
   block->client = std::move(begin.client);
   block->request = begin.request;
-  block->begin = std::move(begin.json);
+  block->memory = begin.json.value("memory", wire::Json());
+  block->slice = std::move(slice);
+  block->rows_missing = block->slice.has_value();
   block->held = std::move(begin.held);
   step->blocks[role->seat] = block;
   ++step->begun;
   step->ready = std::min(step->ready, role->seat);
   coordinator_.arm(block, begin.end);
-  if (block->slices.terms().direct()) coordinator_.receive_directly(block);
+  if (block->terms.direct()) coordinator_.receive_directly(block);
   if (Status fits = check_together(*step); !fits.ok()) abort(*step, fits);
   if (!block->given_up && block->ready()) block_whole(*block);
-  return {};
+  return block;
 }
 
 void SeatGroups::withdraw(Block& block) {
@@ -140,13 +148,13 @@ Status SeatGroups::check_together(const OpenStep& step) const {
   std::uint64_t n = 0, inserted = 0, removed = 0, bytes = 0;
   const Block* with_rows = nullptr;
   for (const auto& block : step.blocks) {
-    const PushTerms& terms = block->slices.terms();
+    const PushTerms& terms = block->terms;
     n += terms.n;
     inserted += terms.inserted;
     removed += terms.removed;
     bytes += terms.bytes();
     if (terms.n == 0) continue;
-    if (with_rows != nullptr && with_rows->slices.terms().weights != terms.weights)
+    if (with_rows != nullptr && with_rows->terms.weights != terms.weights)
       return {Code::invalid_argument,
               fmt::format("{} and {} don't both push weights", name(step.scene, with_rows->seat),
                           name(step.scene, block->seat)),
@@ -189,7 +197,7 @@ void SeatGroups::order(const std::shared_ptr<OpenStep>& step) {
   coordinator_.erase_gate_if_unused(step->scene);
   if (pending.ok()) return;
   for (const auto& block : step->blocks)
-    if (block->number != 0) coordinator_.refuse_directly(block->slices.terms().id);
+    if (block->number != 0) coordinator_.refuse_directly(block->terms.id);
   answered(*step, api::failed(pending.status()));
 }
 
@@ -209,7 +217,7 @@ void SeatGroups::answered(OpenStep& step, Answer answer) {
   answer.json.erase("arrays");
   const std::string text = wire::dump_json(answer.json);
   for (const auto& one : blocks)
-    if (one->slices.terms().cuts_known)
+    if (one->terms.cuts_known)
       one->connection->send_text(FrameType::reply, one->request, with_cuts, arrays);
     else
       one->connection->send_text(FrameType::reply, one->request, text);

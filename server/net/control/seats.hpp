@@ -50,23 +50,25 @@ struct Role {
 
 // What one seat brings of a step that is pushed, while it arrives.
 struct Block {
-  Block(asio::io_context& context, PushTerms terms) : slices(std::move(terms)), deadline(context) {}
-  PushSlices slices;
+  Block(asio::io_context& context, PushTerms of) : terms(std::move(of)), deadline(context) {}
+  PushTerms terms;
+  std::optional<Slice> slice;  // through the endpoint: its rows, of which `charged_bytes` have come
+  bool rows_missing = false;   // some of these are still to come
   std::shared_ptr<OpenStep> step;
   std::size_t seat = 0;
   std::shared_ptr<Connection> connection;  // of the client that pushes
   std::string client;
-  std::uint64_t request = 0;  // request number of its push.begin
-  wire::Json begin;
-  std::shared_ptr<void> held;  // memory of a large push.begin (Coordinator::hold_request)
+  std::uint64_t request = 0;   // request number of its push
+  wire::Json memory;           // the field, for the ranks
+  std::shared_ptr<void> held;  // memory of a large push (Coordinator::hold_request)
   TimePoint end;
   Timer deadline;
   bool given_up = false;
   std::uint64_t charged_bytes = 0;  // taken from the budget for the bytes that have arrived
   std::uint64_t progress_seen = 0;  // bytes at the last check
   TimePoint next_check;             // time of the next check for progress
-  // For the direct path only:
-  std::uint64_t number = 0;                  // identifies the block; 0: it isn't on the direct path
+  // Where rows go to ranks' sockets only:
+  std::uint64_t number = 0;                  // identifies the block; 0: none do
   std::vector<bool> whole;                   // by rank: its slice is complete
   std::vector<std::uint64_t> arrived_bytes;  // by rank, as far as it has reported
 
@@ -100,13 +102,14 @@ struct OpenStep {
   bool all_ready();
 };
 
-// A seat's push.begin.
+// A seat's push.
 struct BlockBegin {
   PushId id;
   std::shared_ptr<Connection> connection;
   std::string client;
   std::uint64_t request = 0;
   wire::Json json;
+  std::uint64_t bulk_bytes = 0;  // of its arrays
   TimePoint end;
   std::shared_ptr<void> held;  // memory of a large request (Coordinator::hold_request)
 };
@@ -154,9 +157,9 @@ class SeatGroups {
   // The part of the connection in a step of the scene. Errors: busy, if others have taken its seats or have a step
   // open; aborted, if a later generation has taken the connection's seat.
   Result<Role> role_of(const PushId& id, const Connection* connection) const;
-  // Begins a block. No change of the scene may be under way. A step that is committed already is answered again.
-  // Errors: those of role_of(), what is wrong with the push.begin.
-  Status begin(BlockBegin begin);
+  // Begins a block, which is to get the rows of its slice if it has one. No change of the scene may be under way. Null:
+  // the step is committed already, and answered again. Errors: those of role_of(), what is wrong with the push.
+  Result<std::shared_ptr<Block>> begin(BlockBegin begin);
   // Takes a seat's count; answers all seats once the last one has come. The scene is there, with no change under way.
   // Errors: those of role_of(), what is wrong with this one; the others go on waiting.
   Status count(CountBegin begin);

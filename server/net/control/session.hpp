@@ -81,6 +81,8 @@ class Session : public std::enable_shared_from_this<Session> {
     Result<wire::CountRecord> counted = wire::CountRecord{};  // by a count
     std::uint64_t bytes = 0;                                  // of its frame
     std::optional<SeatClaim> seat = {};                       // that a scene.open has taken
+    const Frame* unread = nullptr;                            // of a push: its arrays are still to be read
+    Status breach = {};                                       // of the protocol: the session ends
   };
 
   awaitable<Status> hello();
@@ -120,12 +122,11 @@ class Session : public std::enable_shared_from_this<Session> {
   awaitable<Status> watch(const Request& request, const std::string& scene, std::function<bool()> done,
                           const std::string& what);
 
-  awaitable<void> push_begin(Request& request);
-  // Whether a client that came by this endpoint may push on this path. Errors: unsupported, not_authorised.
-  Status check_path(const wire::Json& begin) const;
-  awaitable<Status> push_slice(Frame frame);
-  // Reads the bulk of a slice into its arrays. If the push is aborted meanwhile, the rest is read and dropped.
-  awaitable<Status> receive(const Frame& frame, Block& block, Slice& slice);
+  awaitable<void> push(Request& request);
+  // Whether a client that came by this endpoint may push this way. Errors: unsupported.
+  Status check_way(const wire::Json& push) const;
+  // Reads a push's arrays into its slice. If it is aborted meanwhile, the rest is read and dropped.
+  awaitable<Status> receive(const Frame& frame, Block& block);
   // Reads what follows arrays that are checked. whose: "a slice". Errors: protocol_error.
   awaitable<Status> check_sum(const Frame& frame, const wire::BulkChecksum& checksum, const char* whose);
   // Waits until this request is first in the scene's queue and `ready` holds, or until `overtake` holds, whoever is

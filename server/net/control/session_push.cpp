@@ -1,4 +1,4 @@
-// Session, part 2: pushes. Slices are read straight into their arrays.
+// Session, part 2: pushes. Their rows are read straight into their arrays, once the push is admitted.
 #include <algorithm>
 #include <utility>
 
@@ -20,13 +20,14 @@ constexpr std::size_t kRoomAtOnce = std::size_t{64} << 20U;
 
 }  // namespace
 
-Status Session::check_path(const Json& begin) const {
-  const Json path = begin.value("path", Json());
-  if ((path != "direct" && path != "shared") || !coordinator_->data_addresses(entrance_.endpoint).empty()) return {};
-  return {Code::unsupported, "this endpoint has no direct path", "push by the path \"gateway\""};
+Status Session::check_way(const Json& push) const {
+  const Json way = push.value("way", Json());
+  if ((way != "sockets" && way != "shared-memory") || !coordinator_->data_addresses(entrance_.endpoint).empty())
+    return {};
+  return {Code::unsupported, "clients of this endpoint can't reach the ranks", "push by the way \"endpoint\""};
 }
 
-awaitable<void> Session::push_begin(Request& request) {
+awaitable<void> Session::push(Request& request) {
   SeatGroups& groups = coordinator_->groups();
   const Result<PushId> id = read_push_id(request.json, number_);
   const auto role = id.ok() ? groups.role_of(*id, connection_.get()) : id.status();
@@ -37,34 +38,30 @@ awaitable<void> Session::push_begin(Request& request) {
     const auto joins = [&gate, by = role->by] { return gate.step && gate.step->by == by; };
     status = co_await wait_turn(request, id->scene, ready, joins);
   }
-  if (status.ok()) status = check_path(request.json);
-  if (status.ok())
-    status = groups.begin({*id, connection_, client_, request.number, request.json, request.end, request.held});
+  std::shared_ptr<Block> block;
+  if (status.ok()) status = check_way(request.json);
+  if (status.ok()) {
+    auto begun = groups.begin({*id, connection_, client_, request.number, request.json,
+                               request.unread->header.bulk_bytes, request.end, request.held});
+    status = begun.status();
+    if (begun.ok()) block = std::move(*begun);
+  }
   if (id.ok()) coordinator_->wake_queue(id->scene);
   if (!status.ok()) refuse(request, status);
+  if (!block || !block->rows_missing) co_return;
+  --answering_;  // from here on the step's end answers it
+  request.breach = co_await receive(*std::exchange(request.unread, nullptr), *block);
+  ++answering_;
+  if (!request.breach.ok() || block->given_up) co_return;
+  block->rows_missing = false;
+  groups.block_whole(*block);
 }
 
-awaitable<Status> Session::push_slice(Frame frame) {
-  const Result<PushId> id = read_push_id(frame.json, number_);
-  const auto push = id.ok() ? coordinator_->find_block(*id, connection_.get()) : nullptr;
-  if (!push) co_return co_await connection_->skip_bulk(frame, frame.header.bulk_bytes);
-  Result<Slice> slice = push->slices.begin_slice(frame.json, frame.header.bulk_bytes);
-  if (!slice.ok()) {
-    coordinator_->groups().abort(*push, slice.status());
-    if (slice.status().code() == Code::protocol_error) co_return slice.status();
-    co_return co_await connection_->skip_bulk(frame, frame.header.bulk_bytes);
-  }
-  Status status = co_await receive(frame, *push, *slice);
-  if (!status.ok() || push->given_up) co_return status;
-  push->slices.add(std::move(*slice));
-  coordinator_->groups().block_whole(*push);
-  co_return Status();
-}
-
-awaitable<Status> Session::receive(const Frame& frame, Block& block, Slice& slice) {
+awaitable<Status> Session::receive(const Frame& frame, Block& block) {
   const bool checked = (frame.header.flags & wire::kFlagBulkChecksum) != 0;
   wire::BulkChecksum checksum;
   std::uint64_t left = frame.header.bulk_bytes;
+  Slice& slice = *block.slice;
   for (wire::Array& array : slice.arrays) {
     const bool single = array.dtype == "<f4";  // float32, widened to doubles as it arrives
     const std::uint64_t bytes = slice.count * 8;
@@ -90,7 +87,7 @@ awaitable<Status> Session::receive(const Frame& frame, Block& block, Slice& slic
     }
     if (single) array.dtype = "<f8";
   }
-  co_return co_await check_sum(frame, checksum, "a slice");
+  co_return co_await check_sum(frame, checksum, "a push");
 }
 
 awaitable<Status> Session::check_sum(const Frame& frame, const wire::BulkChecksum& checksum, const char* whose) {

@@ -16,7 +16,7 @@ Result<Block> read_block(const wire::Json& json, int ranks) {
   Block block;
   block.seat = static_cast<int>(fields.integer_or("seat", 0, wire::kSeatsMax, 0));
   block.n = fields.particles("n");
-  block.way = api::read_path(fields);
+  block.way = api::read_way(fields);
   block.is_float32 = fields.word("dtype", {"<f8", "<f4"}) == "<f4";
   for (const double count : fields.numbers("counts", static_cast<std::size_t>(ranks)))
     block.counts.push_back(static_cast<std::uint64_t>(count));

@@ -82,7 +82,7 @@ class Queue {
          {"scene", scene},
          {"step", step},
          {"n", kCount},
-         {"blocks", Json::array({{{"seat", 0}, {"n", kCount}, {"path", "gateway"}, {"dtype", "<f8"}}})}},
+         {"blocks", Json::array({{{"seat", 0}, {"n", kCount}, {"way", "endpoint"}, {"dtype", "<f8"}}})}},
         std::move(slices));
   }
 

@@ -453,8 +453,8 @@ class TwoLedgers {
   std::uint64_t come_ = 0, go_ = 0;
   bool others_ = false;  // the ranks hold
   std::optional<std::int64_t> positions_step_;
-  bool had_positions_ = false;    // the ranks, of a step that is known, as it was counted
-  bool positions_lost_ = false;   // the service died after it had kept the step
+  bool had_positions_ = false;   // the ranks, of a step that is known, as it was counted
+  bool positions_lost_ = false;  // the service died after it had kept the step
   bool rebalance_due_ = false;
 };
 

@@ -139,7 +139,7 @@ TEST(Ways, FewRowsGoThroughTheEndpointWhereMemoryIsNotShared) {
   TwoRanks service(true);
   service.scene = {{"step", 3}, {"ids", true}};
   push_rows(service, 1, Path::automatic, kFarIds);
-  EXPECT_EQ(service.begun[0]["path"], "gateway");
+  EXPECT_EQ(service.begun[0]["way"], "endpoint");
 }
 
 }  // namespace
