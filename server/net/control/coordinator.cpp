@@ -222,31 +222,20 @@ void Coordinator::cancel(std::atomic<bool>& cancelled) {
   engine_.drop_cancelled();
 }
 
-void Coordinator::arm(const std::shared_ptr<Block>& block, TimePoint end) {
-  block->end = end;
-  block->next_check = now() + duration_of(options_.frame_seconds);
-  watch_arrival(block);
-}
-
 void Coordinator::watch_arrival(const std::shared_ptr<Block>& block) {
-  block->deadline.expires_at(std::min(block->end, block->next_check));
-  block->deadline.async_wait([self = shared_from_this(), weak = std::weak_ptr(block)](error_code error) {
+  block->progress_check.expires_after(duration_of(options_.frame_seconds));
+  block->progress_check.async_wait([self = shared_from_this(), weak = std::weak_ptr(block)](error_code error) {
     const auto open = weak.lock();
     // A handler whose timer has expired already still runs without an error when the timer is cancelled: hence the
     // other two.
     if (error || !open || open->given_up || !open->step->open()) return;
-    if (now() >= open->end) return self->groups_.abort(*open->step, self->groups_.late(*open->step));
-    if (now() >= open->next_check) {
-      const std::uint64_t seen = std::exchange(open->progress_seen, open->bytes_arrived());
-      if (!open->ready() && open->progress_seen - seen < kProgressBytes)
-        return self->groups_.abort(
-            *open, {Code::deadline_exceeded,
-                    fmt::format("the push stopped arriving: {} bytes in {} s ({})", open->progress_seen - seen,
-                                self->options_.frame_seconds, open->progress()),
-                    "the previous step stands; push again"});
-      open->next_check = now() + duration_of(self->options_.frame_seconds);
-    }
-    self->watch_arrival(open);
+    const std::uint64_t seen = std::exchange(open->progress_seen, open->bytes_arrived());
+    if (open->ready()) return;
+    if (open->progress_seen - seen >= kProgressBytes) return self->watch_arrival(open);
+    self->groups_.abort(*open, {Code::deadline_exceeded,
+                                fmt::format("the push stopped arriving: {} bytes in {} s ({})",
+                                            open->progress_seen - seen, self->options_.frame_seconds, open->progress()),
+                                "the previous step stands; push again"});
   });
 }
 
@@ -279,7 +268,7 @@ void Coordinator::receive_directly(const std::shared_ptr<Block>& block) {
 
 void Coordinator::give_up(Block& block) {
   block.given_up = true;
-  block.deadline.cancel();
+  block.progress_check.cancel();
   charged_bytes_ -= std::exchange(block.charged_bytes, 0);
   if (block.number != 0) refuse_directly(block.terms.id);
   receiving_.erase(block.number);

@@ -153,8 +153,8 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   void erase_gate_if_unused(const std::string& scene);
   void wake_queue(const std::string& scene);
 
-  // The block's step is aborted at `end`, or before that if the block stops arriving.
-  void arm(const std::shared_ptr<Block>& block, TimePoint end);
+  // The block's step is aborted if the block stops arriving.
+  void watch_arrival(const std::shared_ptr<Block>& block);
   // Counts `bytes` more of the block as arrived. Aborts its step if the budget of all pushes is exceeded.
   void charge(Block& block, std::uint64_t bytes);
   // Nothing of it is taken any more.
@@ -196,7 +196,6 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   void take_change(Answer& answer);
   void complete(Answer answer, const std::shared_ptr<OrderReservation>& unfinished,
                 const std::shared_ptr<Pending>& pending);
-  void watch_arrival(const std::shared_ptr<Block>& block);
   void say_goodbye();
 
   asio::io_context& context_;

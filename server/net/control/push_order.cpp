@@ -82,7 +82,7 @@ PushOrder order_of(const OpenStep& step, const scene::Ledger& ledger) {
   OrderOptions& options = order.options;
   Together all(ledger.now());
   Json blocks = Json::array();
-  for (const auto& push : step.blocks) {
+  for (const auto& push : step.shares) {
     const PushTerms& terms = push->terms;
     all.add(terms);
     options.sessions.push_back(scene::session_key(terms.id.session));
@@ -97,7 +97,7 @@ PushOrder order_of(const OpenStep& step, const scene::Ledger& ledger) {
   order.request.update({{"command", "push"},
                         {"scene", step.scene},
                         {"step", step.number},
-                        {"seats", step.blocks.size()},
+                        {"seats", step.shares.size()},
                         {"blocks", std::move(blocks)}});
   if (ledger.now().others) order.request["counted_ids"] = *ledger.now().id_sum;
   if (Json terms = to_json(ledger.terms(all.terms().step_seconds)); !terms.empty())

@@ -13,38 +13,25 @@ namespace rcb::net {
 
 using wire::FrameType;
 
-namespace {
-
-constexpr const char* kReplaced = "a newer attempt of the same session replaced it";
-
-// To all that have begun.
-void tell_pushing(const std::vector<std::shared_ptr<Block>>& blocks, FrameType type, const wire::Json& json) {
-  const std::string text = wire::dump_json(json);
-  for (const auto& one : blocks)
-    if (one) one->connection->send_text(type, one->request, text);
-}
-
-}  // namespace
-
 std::shared_ptr<Block> OpenStep::block_of(const Connection* connection) const {
   const auto its = [connection](const auto& block) { return block && block->connection.get() == connection; };
-  const auto found = std::ranges::find_if(blocks, its);
-  return found == blocks.end() ? nullptr : *found;
+  const auto found = std::ranges::find_if(shares, its);
+  return found == shares.end() ? nullptr : *found;
 }
 
 std::string OpenStep::who() const {
-  return by_seats() ? fmt::format("{} seats", blocks.size()) : fmt::format("'{}'", blocks.front()->client);
+  return by_seats() ? fmt::format("{} seats", shares.size()) : fmt::format("'{}'", shares.front()->client);
 }
 
 std::string OpenStep::progress() const {
-  if (!by_seats()) return blocks.front()->progress();
-  const auto whole = std::ranges::count_if(blocks, [](const auto& block) { return block && block->ready(); });
-  return fmt::format("{} of {} seats", whole, blocks.size());
+  if (!by_seats()) return shares.front()->progress();
+  const auto whole = std::ranges::count_if(shares, [](const auto& block) { return block && block->ready(); });
+  return fmt::format("{} of {} seats", whole, shares.size());
 }
 
 bool OpenStep::all_ready() {
-  while (ready < blocks.size() && blocks[ready] && blocks[ready]->ready()) ++ready;
-  return ready == blocks.size();
+  while (ready < shares.size() && shares[ready] && shares[ready]->ready()) ++ready;
+  return ready == shares.size();
 }
 
 Result<Role> SeatGroups::role_of(const PushId& id, const Connection* connection) const {
@@ -69,85 +56,75 @@ Result<Role> SeatGroups::role_of(const PushId& id, const Connection* connection)
 
 Result<std::shared_ptr<OpenStep>> SeatGroups::step_for(const PushId& id, const Role& role) {
   auto step = coordinator_.gate(id.scene).step;
-  const auto older = step ? step->blocks[role.seat] : nullptr;
+  const auto older = step ? step->shares[role.seat] : nullptr;
   if (older && older->terms.id.attempt >= id.attempt)
     return Status(Code::aborted, fmt::format("attempt {} of step {} is open, which is not older than {}",
                                              older->terms.id.attempt, step->number, id.attempt));
-  if (older && step->blocks.size() == 1) {
-    abort(*step, {Code::aborted, kReplaced});
+  if (older && step->shares.size() == 1) {
+    abort(*step, {Code::aborted, "a newer attempt of the same session replaced it"});
     step.reset();
   }
   if (step && step->number != id.step)
     return Status(Code::invalid_argument,
                   fmt::format("seat {} pushes step {}, the others push step {}", role.seat, id.step, step->number),
                   "all seats push the same step");
-  if (step && older) withdraw(*older);
+  if (step && older) coordinator_.give_up(*older);
   if (step) return step;
   step = std::make_shared<OpenStep>(coordinator_.context(), id, role);
   coordinator_.gate(id.scene).step = step;
-  asio::co_spawn(coordinator_.context(), watch(coordinator_.shared_from_this(), step), asio::detached);
+  const auto self = coordinator_.shared_from_this();
+  const auto waits_for = [self, step = step.get()] {
+    return step->ordered ? self->engine_in_words() : self->groups().missing(*step);
+  };
+  const auto late = [self, step = step.get()] { self->groups().late(*step); };
+  asio::co_spawn(coordinator_.context(), watch(self->options().notice_seconds, step, waits_for, late), asio::detached);
   return step;
 }
 
-Result<std::shared_ptr<Block>> SeatGroups::begin(BlockBegin begin) {
-  const PushId id = begin.id;
+Result<std::shared_ptr<Block>> SeatGroups::begin(const PushId& id, Asker asker, const wire::Json& push,
+                                                 std::uint64_t bulk_bytes) {
   // While this push waited for its turn, much may have changed.
-  const auto role = role_of(id, begin.connection.get());
+  const auto role = role_of(id, asker.connection.get());
   if (!role.ok()) return role.status();
   const scene::Ledger* ledger = coordinator_.scenes().find(id.scene);
   if (ledger == nullptr) return coordinator_.unknown_scene(id.scene);
   if (ledger->was_in_last(id.session, id.step)) {
-    if (may_bring_slices(begin.json)) coordinator_.refuse_directly(id);
-    begin.connection->send_text(FrameType::reply, begin.request, api::repeated(*ledger));
+    if (may_bring_slices(push)) coordinator_.refuse_directly(id);
+    asker.connection->send_text(FrameType::reply, asker.request, api::repeated(*ledger));
     return std::shared_ptr<Block>();
   }
   const ControlOptions& options = coordinator_.options();
-  auto terms = read_push_terms(begin.json, id, ledger->now(), options.ranks, options.bulk_bytes_max, role->seats);
+  auto terms = read_push_terms(push, id, ledger->now(), options.ranks, options.bulk_bytes_max, role->seats);
   if (!terms.ok()) return terms.status();
-  std::optional<Slice> slice;
-  if (terms->n > 0 && !terms->to_ranks()) {
-    auto made = make_slice(begin.json, begin.bulk_bytes, *terms, terms->n);
-    if (!made.ok()) return made.status();
-    slice = std::move(*made);
+  auto block = std::make_shared<Block>(coordinator_.context(), std::move(asker), std::move(*terms));
+  block->seat = role->seat;
+  block->memory = push.value("memory", wire::Json());
+  block->rows_missing = block->terms.n > 0 && !block->terms.to_ranks();
+  if (block->rows_missing) {
+    auto slice = make_slice(push, bulk_bytes, block->terms, block->terms.n);
+    if (!slice.ok()) return slice.status();
+    block->slice = std::move(*slice);
   }
-  const auto opened = step_for(id, *role);
-  if (!opened.ok()) return opened.status();
-  const std::shared_ptr<OpenStep>& step = *opened;
+  const auto step = step_for(id, *role);
+  if (!step.ok()) return step.status();
   if (coordinator_.gate(id.scene).counting)
     answer_count(id.scene, FrameType::reply,
                  wire::dump_json({{"send", fmt::format("{} pushes this step", name(id.scene, role->seat))}}));
-  auto block = std::make_shared<Block>(coordinator_.context(), std::move(*terms));
-  block->step = step;
-  block->seat = role->seat;
-  block->connection = std::move(begin.connection);
-  block->client = std::move(begin.client);
-  block->request = begin.request;
-  block->memory = begin.json.value("memory", wire::Json());
-  block->slice = std::move(slice);
-  block->rows_missing = block->slice.has_value();
-  block->held = std::move(begin.held);
-  step->blocks[role->seat] = block;
-  ++step->begun;
-  step->ready = std::min(step->ready, role->seat);
-  coordinator_.arm(block, begin.end);
+  block->step = *step;
+  (*step)->put(role->seat, block);
+  (*step)->ready = std::min((*step)->ready, role->seat);
+  coordinator_.watch_arrival(block);
   if (block->terms.direct()) coordinator_.receive_directly(block);
-  if (Status fits = check_together(*step); !fits.ok()) abort(*step, fits);
+  if (Status fits = check_together(**step); !fits.ok()) abort(**step, fits);
   if (!block->given_up && block->ready()) block_whole(*block);
   return block;
 }
 
-void SeatGroups::withdraw(Block& block) {
-  block.step->blocks[block.seat].reset();
-  --block.step->begun;
-  coordinator_.give_up(block);
-  block.connection->send(FrameType::failure, block.request, wire::failure_json({Code::aborted, kReplaced}));
-}
-
 Status SeatGroups::check_together(const OpenStep& step) const {
-  if (step.begun < step.blocks.size()) return {};
+  if (step.begun < step.shares.size()) return {};
   std::uint64_t n = 0, inserted = 0, removed = 0, bytes = 0;
   const Block* with_rows = nullptr;
-  for (const auto& block : step.blocks) {
+  for (const auto& block : step.shares) {
     const PushTerms& terms = block->terms;
     n += terms.n;
     inserted += terms.inserted;
@@ -175,17 +152,15 @@ void SeatGroups::block_whole(const Block& block) {
 void SeatGroups::close(OpenStep& step) {
   SceneGate& gate = coordinator_.gate(step.scene);
   RCB_CHECK(gate.step.get() == &step, "the step isn't the open one");
-  for (const auto& block : step.blocks)
-    if (block) block->deadline.cancel();
+  for (const auto& block : step.shares)
+    if (block) block->progress_check.cancel();
   gate.step.reset();
   gate.wake();
 }
 
 void SeatGroups::order(const std::shared_ptr<OpenStep>& step) {
   step->ordered = true;
-  step->timer.cancel();  // so that its deadline is heeded
   close(*step);
-  for (const auto& block : step->blocks) step->end = std::min(step->end, block->end);
   auto [request, options] = order_of(*step, *coordinator_.scenes().find(step->scene));
   options.received_seconds = seconds_since(step->started);
   options.deadline_seconds = std::max(std::chrono::duration<double>(step->end - step->started).count(), 0.0);
@@ -196,7 +171,7 @@ void SeatGroups::order(const std::shared_ptr<OpenStep>& step) {
   const auto pending = coordinator_.order(std::move(request), std::move(options));
   coordinator_.erase_gate_if_unused(step->scene);
   if (pending.ok()) return;
-  for (const auto& block : step->blocks)
+  for (const auto& block : step->shares)
     if (block->number != 0) coordinator_.refuse_directly(block->terms.id);
   answered(*step, api::failed(pending.status()));
 }
@@ -205,11 +180,11 @@ void SeatGroups::answered(OpenStep& step, Answer answer) {
   if (!answer.status.ok())
     spdlog::info("step {} of scene '{}' by {}: {}: {}", step.number, step.scene, step.who(),
                  code_name(answer.status.code()), answer.status.message());
-  const auto blocks = std::exchange(step.blocks, {});
   const bool told = std::exchange(step.over, true);
   step.timer.cancel();
-  if (told) return;
-  if (!answer.status.ok()) return tell_pushing(blocks, FrameType::failure, wire::failure_json(answer.status));
+  if (!told && !answer.status.ok()) step.tell(FrameType::failure, wire::dump_json(wire::failure_json(answer.status)));
+  const auto blocks = std::exchange(step.shares, {});  // which hold the step
+  if (told || !answer.status.ok()) return;
   const auto arrays = std::make_shared<const std::vector<wire::Array>>(std::move(answer.arrays));
   if (!arrays->empty()) answer.json["arrays"] = wire::describe(*arrays);
   const std::string with_cuts = wire::dump_json(answer.json);  // for who has said which it knows
@@ -228,14 +203,12 @@ void SeatGroups::abort(OpenStep& step, const Status& why) {
   spdlog::info("step {} of scene '{}' by {} given up: {}", step.number, step.scene, step.who(), why.message());
   step.over = true;
   step.timer.cancel();
-  const std::string scene = step.scene;
-  const auto keep = coordinator_.gate(scene).step;  // close() lets go of it
+  const auto keep = coordinator_.gate(step.scene).step;  // close() and its blocks let go of it
   close(step);
-  const auto blocks = std::exchange(step.blocks, {});
-  for (const auto& one : blocks)
+  step.tell(FrameType::failure, wire::dump_json(wire::failure_json(why)));
+  for (const auto& one : std::exchange(step.shares, {}))
     if (one) coordinator_.give_up(*one);
-  tell_pushing(blocks, FrameType::failure, wire::failure_json(why));
-  coordinator_.erase_gate_if_unused(scene);
+  coordinator_.erase_gate_if_unused(step.scene);
 }
 
 void SeatGroups::abort(const Block& block, const Status& why) {
@@ -244,28 +217,17 @@ void SeatGroups::abort(const Block& block, const Status& why) {
   abort(*block.step, {why.code(), who + why.message(), why.hint()});
 }
 
-awaitable<void> SeatGroups::watch(std::shared_ptr<Coordinator> self, std::shared_ptr<OpenStep> step) {
-  const auto between = duration_of(self->options().notice_seconds);
-  while (!step->over) {
-    const TimePoint next = now() + between;
-    step->timer.expires_at(std::min(next, step->end));
-    co_await step->timer.async_wait(kAwait);
-    if (step->over) break;
-    if (now() >= step->end) {
-      tell_pushing(
-          step->blocks, FrameType::failure,
-          wire::failure_json({Code::deadline_exceeded,
-                              fmt::format("step {} wasn't committed at its deadline; it goes on", step->number),
-                              "push it again to hear what came of it"}));
-      step->over = true;
-      break;
-    }
-    if (now() < next) continue;  // it has been ordered meanwhile
-    const std::string notice =
-        fmt::format("step {} of scene '{}' has waited {:.0f} s for {}", step->number, step->scene,
-                    seconds_since(step->started), step->ordered ? self->engine_in_words() : missing(*step));
-    tell_pushing(step->blocks, FrameType::notice, {{"notice", notice}});
-  }
+void SeatGroups::late(OpenStep& step) {
+  if (!step.ordered)
+    return abort(step, {Code::deadline_exceeded,
+                        fmt::format("step {} of scene '{}' was given up at its deadline: {} had not pushed it",
+                                    step.number, step.scene, missing(step)),
+                        "the previous step stands; push again"});
+  step.over = true;
+  const Status why(Code::deadline_exceeded,
+                   fmt::format("step {} wasn't committed at its deadline; it goes on", step.number),
+                   "push it again to hear what came of it");
+  step.tell(FrameType::failure, wire::dump_json(wire::failure_json(why)));
 }
 
 }  // namespace rcb::net

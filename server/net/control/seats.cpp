@@ -148,7 +148,7 @@ void SeatGroups::abort_step_because_of(const std::string& scene, std::size_t sea
                   "the previous step stands; bring it again");
   };
   if (gate.step && gate.step->by_seats()) abort(*gate.step, given_up(gate.step->number));
-  if (const auto counting = coordinator_.gate(scene).counting) end_count(scene, given_up(counting->tally.step()));
+  if (const auto counting = coordinator_.gate(scene).counting) end_count(scene, given_up(counting->number));
   coordinator_.erase_gate_if_unused(scene);
 }
 
@@ -164,8 +164,8 @@ std::string SeatGroups::name(const std::string& scene, std::size_t seat) const {
 std::string SeatGroups::missing(const OpenStep& step) const {
   if (!step.by_seats()) return fmt::format("{} ({})", step.who(), step.progress());
   std::vector<std::size_t> missing;
-  for (std::size_t k = 0; k < step.blocks.size(); ++k)
-    if (!step.blocks[k] || !step.blocks[k]->ready()) missing.push_back(k);
+  for (std::size_t k = 0; k < step.shares.size(); ++k)
+    if (!step.shares[k] || !step.shares[k]->ready()) missing.push_back(k);
   return names_of(step.scene, missing);
 }
 
@@ -174,13 +174,6 @@ std::string SeatGroups::names_of(const std::string& scene, std::span<const std::
   std::vector<std::string> names;
   for (const std::size_t seat : seats.first(std::min(seats.size(), kNamedMax))) names.push_back(name(scene, seat));
   return fmt::format("{}{}", fmt::join(names, ", "), and_more(seats.size() - names.size()));
-}
-
-Status SeatGroups::late(const OpenStep& step) const {
-  return {Code::deadline_exceeded,
-          fmt::format("step {} of scene '{}' was given up at its deadline: {} had not pushed it", step.number,
-                      step.scene, missing(step)),
-          "the previous step stands; push again"};
 }
 
 void SeatGroups::scene_changed(const std::string& scene) {

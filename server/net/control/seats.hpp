@@ -18,11 +18,9 @@
 #include <vector>
 
 #include "common/base/status.hpp"
+#include "server/net/control/round.hpp"
 #include "server/net/push/engine.hpp"
 #include "server/net/push/push.hpp"
-#include "server/net/sockets/asio.hpp"
-#include "server/net/sockets/connection.hpp"
-#include "server/scene/ledger.hpp"
 #include "server/scene/tally.hpp"
 
 namespace rcb::net {
@@ -49,24 +47,19 @@ struct Role {
 };
 
 // What one seat brings of a step that is pushed, while it arrives.
-struct Block {
-  Block(asio::io_context& context, PushTerms of) : terms(std::move(of)), deadline(context) {}
+struct Block : Asker {
+  Block(asio::io_context& context, Asker of, PushTerms said)
+      : Asker(std::move(of)), terms(std::move(said)), progress_check(context) {}
   PushTerms terms;
   std::optional<Slice> slice;  // through the endpoint: its rows, of which `charged_bytes` have come
   bool rows_missing = false;   // some of these are still to come
   std::shared_ptr<OpenStep> step;
   std::size_t seat = 0;
-  std::shared_ptr<Connection> connection;  // of the client that pushes
-  std::string client;
-  std::uint64_t request = 0;   // request number of its push
-  wire::Json memory;           // the field, for the ranks
-  std::shared_ptr<void> held;  // memory of a large push (Coordinator::hold_request)
-  TimePoint end;
-  Timer deadline;
+  wire::Json memory;  // the field, for the ranks
+  Timer progress_check;
   bool given_up = false;
   std::uint64_t charged_bytes = 0;  // taken from the budget for the bytes that have arrived
   std::uint64_t progress_seen = 0;  // bytes at the last check
-  TimePoint next_check;             // time of the next check for progress
   // Where rows go to ranks' sockets only:
   std::uint64_t number = 0;                  // identifies the block; 0: none do
   std::vector<bool> whole;                   // by rank: its slice is complete
@@ -78,20 +71,12 @@ struct Block {
 };
 
 // A step that is being pushed. Until it is ordered it stands in the scene's gate.
-struct OpenStep {
+struct OpenStep : Round<Block> {
   OpenStep(asio::io_context& context, const PushId& id, const Role& role)
-      : scene(id.scene), number(id.step), by(role.by), blocks(role.seats), timer(context) {}
-  std::string scene;
-  std::int64_t number;
-  std::string by;                              // Role::by
-  std::vector<std::shared_ptr<Block>> blocks;  // by seat; null: not begun
-  std::size_t begun = 0;                       // how many are begun
-  std::size_t ready = 0;                       // those before this one were ready when last looked at
-  Timer timer;                                 // until the next notice to waiting seats
-  TimePoint started = now();
-  TimePoint end = TimePoint::max();  // once it is ordered
+      : Round(context, id.scene, id.step, role.seats), by(role.by) {}
+  std::string by;         // Role::by
+  std::size_t ready = 0;  // blocks before this one were ready when last looked at
   bool ordered = false;
-  bool over = false;  // every seat is answered
 
   bool by_seats() const { return by == kSeats; }
   bool open() const { return !ordered && !over; }
@@ -102,38 +87,11 @@ struct OpenStep {
   bool all_ready();
 };
 
-// A seat's push.
-struct BlockBegin {
-  PushId id;
-  std::shared_ptr<Connection> connection;
-  std::string client;
-  std::uint64_t request = 0;
-  wire::Json json;
-  std::uint64_t bulk_bytes = 0;  // of its arrays
-  TimePoint end;
-  std::shared_ptr<void> held;  // memory of a large request (Coordinator::hold_request)
-};
-
-// A seat's count.
-struct CountBegin {
-  PushId id;
-  std::shared_ptr<Connection> connection;
-  std::uint64_t request = 0;
-  TimePoint end;
-  std::optional<scene::CountRecord> record;
-  Status fault;  // instead: what this seat found in its particles, for which the step fails for all
-};
-
 // A step that seats are counting, in the scene's gate until all have.
-struct SeatCount {
-  SeatCount(asio::io_context& context, std::int64_t step, std::size_t seats)
-      : tally(step, seats), waiting(seats), timer(context) {}
+struct SeatCount : Round<Asker> {
+  SeatCount(asio::io_context& context, const PushId& id, std::size_t seats)
+      : Round(context, id.scene, id.step, seats), tally(seats) {}
   scene::Tally tally;
-  std::vector<std::optional<CountBegin>> waiting;  // by seat: who is answered at its end
-  Timer timer;                                     // until the deadline or the next notice
-  TimePoint started = now();
-  TimePoint end = TimePoint::max();
-  bool over = false;
 };
 
 class SeatGroups {
@@ -159,18 +117,18 @@ class SeatGroups {
   Result<Role> role_of(const PushId& id, const Connection* connection) const;
   // Begins a block, which is to get the rows of its slice if it has one. No change of the scene may be under way. Null:
   // the step is committed already, and answered again. Errors: those of role_of(), what is wrong with the push.
-  Result<std::shared_ptr<Block>> begin(BlockBegin begin);
+  // bulk_bytes: of its arrays.
+  Result<std::shared_ptr<Block>> begin(const PushId& id, Asker asker, const wire::Json& push, std::uint64_t bulk_bytes);
   // Takes a seat's count; answers all seats once the last one has come. The scene is there, with no change under way.
-  // Errors: those of role_of(), what is wrong with this one; the others go on waiting.
-  Status count(CountBegin begin);
+  // Errors: those of role_of(), what is wrong with this one; the others go on waiting. counted: an error is what this
+  // seat has found in its particles, with which the step fails for all.
+  Status count(const PushId& id, Asker asker, Result<scene::CountRecord> counted);
   // To be called when all of a block has arrived.
   void block_whole(const Block& block);
   // Ends a step that isn't ordered; nothing was changed by it.
   void abort(OpenStep& step, const Status& why);
   // The same, by the fault of one block.
   void abort(const Block& block, const Status& why);
-  // The error at a step's deadline: it names the missing seats.
-  Status late(const OpenStep& step) const;
   void end_count(const std::string& scene, const Status& why);
   // To be called after every change of a scene.
   void scene_changed(const std::string& scene);
@@ -191,29 +149,26 @@ class SeatGroups {
   static std::optional<std::size_t> seat_of(const Group& group, const Connection* connection);
   // Whether the connection holds a seat of the scene, or held one that a later generation has taken.
   bool knows(const std::string& scene, const Connection* connection) const;
-  void decide(const std::string& scene, scene::Ledger& ledger);
   // Ends the counting of the scene, if there is any; json: the text that all are told.
   void answer_count(const std::string& scene, wire::FrameType type, const std::string& json);
-  std::string missing(const std::string& scene, const SeatCount& counting) const;
-  awaitable<void> watch_count(std::shared_ptr<Coordinator> self, std::string scene,
-                              std::shared_ptr<SeatCount> counting);
+  // Until all have counted.
+  void wait_for_counts(const std::shared_ptr<SeatCount>& counting);
   Group* find(const std::string& scene);
   const Group* find(const std::string& scene) const;
   void abort_step_because_of(const std::string& scene, std::size_t seat, const std::string& why);
   std::string name(const std::string& scene, std::size_t seat) const;
   std::string missing(const OpenStep& step) const;
+  // At the deadline.
+  void late(OpenStep& step);
   std::string names_of(const std::string& scene, std::span<const std::size_t> seats) const;  // of eight, at most
   // The step of which a block is to be one. Errors: aborted (a newer attempt is open), invalid_argument.
   Result<std::shared_ptr<OpenStep>> step_for(const PushId& id, const Role& role);
-  // Takes out a block that a newer attempt replaces.
-  void withdraw(Block& block);
   // When all seats have begun: what they bring must fit together. Errors: invalid_argument, not_conserved.
   Status check_together(const OpenStep& step) const;
   // Ends the receiving: the scene's gate is free again.
   void close(OpenStep& step);
   void order(const std::shared_ptr<OpenStep>& step);
   void answered(OpenStep& step, Answer answer);
-  awaitable<void> watch(std::shared_ptr<Coordinator> self, std::shared_ptr<OpenStep> step);
 
   Coordinator& coordinator_;
   std::map<std::string, Group> groups_;

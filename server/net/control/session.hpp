@@ -122,6 +122,7 @@ class Session : public std::enable_shared_from_this<Session> {
   awaitable<Status> watch(const Request& request, const std::string& scene, std::function<bool()> done,
                           const std::string& what);
 
+  Asker asker(const Request& request) const;
   awaitable<void> push(Request& request);
   // Whether a client that came by this endpoint may push this way. Errors: unsupported.
   Status check_way(const wire::Json& push) const;

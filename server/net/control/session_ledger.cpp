@@ -125,21 +125,21 @@ awaitable<void> Session::count(Request& request) {
   Status status = scene.ok() ? coordinator_->groups().role_of(id, connection_.get()).status() : scene.status();
   if (status.ok()) status = co_await wait_settled(request, id.scene);
   if (status.ok() && !coordinator_->scenes().contains(id.scene)) status = coordinator_->unknown_scene(id.scene);
-  CountBegin begin{std::move(id), connection_, request.number, request.end, {}, {}};
-  if (status.ok() && api::given(request.json, "fault")) {
+  auto counted = record_of(request);
+  if (api::given(request.json, "fault")) {
     const auto step = wire::integer_field(request.json, "step", 0, wire::kStepMax);
-    status = step.status();
-    if (step.ok()) begin.id.step = *step;
-    begin.fault = wire::status_from_failure({{"failure", request.json["fault"]}});
-    if (begin.fault.code() == Code::internal || begin.fault.code() == Code::protocol_error)  // no code that is known
-      begin.fault = {Code::invalid_argument, "field 'fault': expected {\"code\",\"message\"}"};
+    if (status.ok()) status = step.status();
+    if (step.ok()) id.step = *step;
+    Status fault = wire::status_from_failure({{"failure", request.json["fault"]}});
+    if (fault.code() == Code::internal || fault.code() == Code::protocol_error)  // no code that is known
+      fault = {Code::invalid_argument, "field 'fault': expected {\"code\",\"message\"}"};
+    counted = std::move(fault);
+  } else if (counted.ok()) {
+    id.step = static_cast<std::int64_t>(counted->step);
   } else if (status.ok()) {
-    auto record = record_of(request);
-    status = record.status();
-    if (record.ok()) begin.id.step = static_cast<std::int64_t>(record->step);
-    if (record.ok()) begin.record = std::move(*record);
+    status = counted.status();
   }
-  if (status.ok()) status = coordinator_->groups().count(std::move(begin));
+  if (status.ok()) status = coordinator_->groups().count(id, asker(request), std::move(counted));
   if (!status.ok()) reply(request, api::failed(status));
   if (scene.ok()) coordinator_->wake_queue(*scene);
 }

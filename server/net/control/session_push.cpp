@@ -3,10 +3,7 @@
 #include <utility>
 
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
-#include "server/api/ledger_answers.hpp"
-#include "server/net/control/push_order.hpp"
 #include "server/net/control/session.hpp"
 
 namespace rcb::net {
@@ -27,6 +24,10 @@ Status Session::check_way(const Json& push) const {
   return {Code::unsupported, "clients of this endpoint can't reach the ranks", "push by the way \"endpoint\""};
 }
 
+Asker Session::asker(const Request& request) const {
+  return {connection_, client_, request.number, request.end, request.held};
+}
+
 awaitable<void> Session::push(Request& request) {
   SeatGroups& groups = coordinator_->groups();
   const Result<PushId> id = read_push_id(request.json, number_);
@@ -41,8 +42,7 @@ awaitable<void> Session::push(Request& request) {
   std::shared_ptr<Block> block;
   if (status.ok()) status = check_way(request.json);
   if (status.ok()) {
-    auto begun = groups.begin({*id, connection_, client_, request.number, request.json,
-                               request.unread->header.bulk_bytes, request.end, request.held});
+    auto begun = groups.begin(*id, asker(request), request.json, request.unread->header.bulk_bytes);
     status = begun.status();
     if (begun.ok()) block = std::move(*begun);
   }

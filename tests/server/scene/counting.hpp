@@ -89,19 +89,16 @@ inline std::string in_words(const scene::CountVerdict& verdict) {
 
 // Counts a step, of which each seat brings its share.
 inline std::string ask(scene::Ledger& ledger, const std::vector<scene::CountRecord>& seats) {
-  scene::Tally tally(0, seats.size());
-  std::vector<std::uint64_t> sessions;
+  scene::Tally tally(seats.size());
   for (std::size_t seat = 0; seat < seats.size(); ++seat) {
     const auto record = received(seats[seat]);
     if (!record.ok()) return fmt::format("malformed {}", code_name(record.status().code()));
     if (const Status fits = ledger.check_seat(*record); fits.code() == Code::stale_step)
       return ledger.was_in_last(record->session, record->step) ? "repeated" : "refused stale_step";
-    sessions.push_back(scene::session_key(record->session));
     tally.put(seat, *record);
   }
   auto all = tally.sum(ledger.now().options.parts);
   if (!all.ok()) return fmt::format("malformed {}", code_name(all.status().code()));
-  all->sessions = std::move(sessions);
   return in_words(ledger.count(*all));
 }
 

@@ -104,7 +104,7 @@ TEST(Ways, OfOtherRowsAListTellsWhoReadsWhich) {
     TwoRanks service;
     push_rows(service, 2, Path::automatic, kFarIds, {.seat = 0, .seats = seated ? 2 : 1});
     for (std::size_t step : {0U, 1U}) {
-      EXPECT_EQ(service.begun[step]["path"], "shared");
+      EXPECT_EQ(service.begun[step]["way"], "shared-memory");
       EXPECT_EQ(service.begun[step]["counts"], Json({3, 3}));
       EXPECT_FALSE(service.begun[step].contains("sockets"));
       EXPECT_EQ(service.shared[step]["id"], kFarIds);
@@ -121,7 +121,7 @@ TEST(Ways, ARankOnAnotherHostGetsItsRowsOverItsSocket) {
               with_ids ? std::span<const std::int64_t>(kFarIds) : std::span<const std::int64_t>());
     for (const int step : {0, 1}) {
       const Json& begin = service.begun[static_cast<std::size_t>(step)];
-      EXPECT_EQ(begin["path"], "shared");
+      EXPECT_EQ(begin["way"], "shared-memory");
       EXPECT_EQ(begin["sockets"], Json({1}));
       EXPECT_EQ(begin["counts"], Json({3, 3}));
       EXPECT_EQ(begin["ids"], true);  // rows in memory have numbers, those of a socket don't
