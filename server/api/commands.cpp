@@ -15,9 +15,9 @@ constexpr std::array<Fields, 12> kCreate{"scene",      "parts",           "dims"
                                          "tolerance",  "axis_hysteresis", "cut_tolerance", "policy",
                                          "part_sizes", "replace",         "positions"};
 constexpr std::array<Fields, 4> kOpen{"scene", "seat", "seats", "generation"};
-constexpr std::array<Fields, 17> kPushBegin{
-    "scene",  "step",    "attempt",  "n",       "path",         "dtype",      "weights", "ids",        "counts",
-    "memory", "sockets", "inserted", "removed", "step_seconds", "cuts_known", "drifted", "incarnation"};
+constexpr std::array<Fields, 18> kPush{"scene",   "step",         "attempt",    "n",       "way",         "dtype",
+                                       "weights", "ids",          "counts",     "memory",  "sockets",     "inserted",
+                                       "removed", "step_seconds", "cuts_known", "drifted", "incarnation", "arrays"};
 constexpr std::array<Fields, 3> kCount{"scene", "step", "fault"};
 constexpr std::array<Fields, 4> kCuts{"scene", "list", "from", "count"};
 constexpr std::array<Fields, 4> kHistory{"scene", "last", "from", "count"};
@@ -61,7 +61,7 @@ constexpr std::array kCommands{
     CommandInfo{"scene.create", ranks, changes, kCreate, !kFiles, !kGivesWay, kLarge},
     CommandInfo{"scene.drop", ranks, changes, kScene},
     CommandInfo{"count", ledger, changes, kCount},
-    CommandInfo{"push.begin", ranks, changes, kPushBegin, !kFiles, !kGivesWay, kLarge},
+    CommandInfo{"push", ranks, changes, kPush, !kFiles, !kGivesWay, kLarge},
     CommandInfo{"rebalance", ranks, changes, kRebalance, !kFiles, kGivesWay},
     CommandInfo{"load", ranks, changes, kLoad, kFiles, kGivesWay},
 };

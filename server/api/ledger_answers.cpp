@@ -185,19 +185,8 @@ std::string verdict_text(const Ledger& ledger, const scene::CountVerdict& verdic
   return R"({"again":"cuts"})";
 }
 
-std::string repeated_to_seat(const Ledger& ledger) {
+std::string repeated(const Ledger& ledger) {
   return fmt::format(R"({{"repeated":true,"report":{}}})", ledger.last_report());
-}
-
-Answer repeated(const Ledger& ledger, std::uint64_t number) {
-  return with_reports(ledger, number, number + 1, [](scene::FoundReports found, Answer& answer) {
-    if (found.reports.empty())
-      answer.status =
-          Status(Code::io_error, fmt::format("the step is committed, but its report was lost: {}", found.loss),
-                 "go on with the next step");
-    else
-      answer.json = {{"repeated", true}, {"report", std::move(found.reports.front())}};
-  });
 }
 
 }  // namespace rcb::api

@@ -15,10 +15,8 @@ Answer describe(const scene::Ledger& ledger, int ranks);
 // Answers error, counts, stats, history and the description. Errors: not_found (no positions yet), those of the
 // request.
 Answer answer_from(const scene::Ledger& ledger, const wire::Json& request, int ranks);
-// To a seat of the last step that pushes or counts it again.
-std::string repeated_to_seat(const scene::Ledger& ledger);
-// The report of a committed step, for whoever pushes or counts it again. number: in the history.
-Answer repeated(const scene::Ledger& ledger, std::uint64_t number);
+// The last step's report, for whoever has brought it and does so again.
+std::string repeated(const scene::Ledger& ledger);
 
 // An answer that `fill` completes with the reports [first, last); on the thread for files if they are in the file.
 Answer with_reports(const scene::Ledger& ledger, std::uint64_t first, std::uint64_t last,
@@ -27,7 +25,7 @@ Answer with_reports(const scene::Ledger& ledger, std::uint64_t first, std::uint6
 // What has the ranks take up a scene of an earlier service. The cuts, if any, go with it: cut_arrays().
 wire::Json restore_order(const scene::Ledger& ledger);
 
-// What a count is answered, as JSON, unless it is refused or repeated.
+// What a count is answered, as JSON, unless it is refused.
 std::string verdict_text(const scene::Ledger& ledger, const scene::CountVerdict& verdict);
 
 }  // namespace rcb::api

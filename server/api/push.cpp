@@ -92,16 +92,18 @@ Result<PushId> read_push_id(const wire::Json& request, std::string session) {
   return id;
 }
 
-Way read_path(wire::FieldReader& fields) {
-  const std::string path = fields.word("path", {"gateway", "direct", "shared"});
-  return path == "direct" ? Way::sockets : path == "shared" ? Way::shared_memory : Way::endpoint;
+Way read_way(wire::FieldReader& fields) {
+  const std::string name = fields.word("way", {"endpoint", "sockets", "shared-memory"});
+  for (const Way way : {Way::sockets, Way::shared_memory})
+    if (name == name_of(way)) return way;
+  return Way::endpoint;
 }
 
 Result<Push> read_push(const wire::Json& request, PushId id, int ranks) {
   wire::FieldReader fields(request);
   Push push{.id = std::move(id)};
   push.n = static_cast<std::uint64_t>(fields.integer("n", 0, wire::kParticlesMax));
-  push.way = read_path(fields);
+  push.way = read_way(fields);
   push.weights = fields.flag("weights");
   push.ids = fields.flag("ids");
   push.is_float32 = fields.word("dtype", {"<f8", "<f4"}) == "<f4";

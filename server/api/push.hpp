@@ -1,4 +1,4 @@
-// Push: what a push.begin says. Read once, for the socket side, which checks it against what is known of the scene
+// Push: what a push says. Read once, for the socket side, which checks it against what is known of the scene
 // before it admits the push, and for the ranks, which check it against the scene itself.
 #pragma once
 
@@ -76,10 +76,10 @@ struct Push {
   bool direct(int rank) const { return direct() && !from_memory(rank); }
 };
 
-// The field "path" of a block: how its rows come.
-Way read_path(wire::FieldReader& fields);
+// How the rows of a block come.
+Way read_way(wire::FieldReader& fields);
 
-// The fields of a push.begin besides those of `id`. Errors: invalid_argument.
+// The fields of a push besides those of `id`. Errors: invalid_argument.
 Result<Push> read_push(const wire::Json& request, PushId id, int ranks);
 
 }  // namespace rcb::api

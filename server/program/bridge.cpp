@@ -24,10 +24,10 @@ void add_shared(const net::DataPort& data, const wire::Json& block, api::Slice& 
   slice.is_float32 = block.at("dtype") == "<f4";
 }
 
-// Whether this rank's rows come from memory: all that it reads for a block by the path "shared", but for the ranks that
-// have theirs by socket.
+// Whether this rank's rows come from memory: all that it reads for a block by the way "shared-memory", but for the
+// ranks that have theirs by socket.
 bool from_memory(const net::DataPort& data, const wire::Json& block) {
-  return block.at("path") == "shared" && std::ranges::count(block.at("sockets"), wire::Json(data.rank())) == 0;
+  return block.at("way") == "shared-memory" && std::ranges::count(block.at("sockets"), wire::Json(data.rank())) == 0;
 }
 
 }  // namespace
@@ -37,7 +37,7 @@ std::vector<api::Slice> staged_slices(net::DataPort& data, const wire::Json& req
   const auto blocks = request.find("blocks");
   if (blocks == request.end()) return slices;
   for (const wire::Json& block : *blocks) {
-    if (block.at("path") == "gateway") continue;
+    if (block.at("way") == "endpoint") continue;
     api::Slice slice;
     const auto counts = block.find("counts");
     for (int rank = 0; counts != block.end() && rank <= data.rank(); ++rank) {

@@ -23,7 +23,7 @@ using wire::WeightCount;
 struct CountRecord : wire::CountRecord {
   std::string session;
   std::uint64_t bytes = 0;              // of its frame
-  std::vector<std::uint64_t> sessions;  // of all seats together: the key of each one's
+  std::vector<std::uint64_t> sessions;  // of all seats together: session_key() of each one's
   std::uint64_t strangers = 0;          // of all seats together: rows outside the parts of their seat
 };
 

@@ -37,8 +37,7 @@ struct Created {
 struct Stepped {
   StepReport report;
   Held held;
-  std::string session;                   // that pushed
-  std::vector<std::uint64_t> sessions;   // if seats pushed together: the key of each one's
+  std::vector<std::uint64_t> sessions;   // of those that pushed, one a seat: session_key() of each
   std::optional<double> step_seconds;    // as the push said
   std::optional<std::uint64_t> drifted;  // since the step before, as the push said
   bool wasted = false;                   // new cuts were searched, and not adopted

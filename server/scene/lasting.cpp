@@ -145,8 +145,7 @@ std::string encode(const Lasting& lasting, const std::string& frame) {
   json["totals"] = totals_json(lasting.totals);
   json["costs"] = lasting.costs.to_json();
   json["not_adopted"] = or_null(lasting.error_when_not_adopted);
-  json["last_session"] = lasting.last_session;
-  json["last_seats"] = packed(lasting.last_seats);
+  json["last_sessions"] = packed(lasting.last_sessions);
   json["last_report"] = lasting.last_report;
   return bytes_of(json);
 }
@@ -176,8 +175,7 @@ Result<Lasting> decode_lasting(std::string_view bytes, std::uint64_t incarnation
   lasting.totals = totals_from(json.at("totals"));
   lasting.costs = CostAccount::from_json(json.at("costs"));
   if (const Json& error = json.at("not_adopted"); !error.is_null()) lasting.error_when_not_adopted = finite_from(error);
-  lasting.last_session = whole(json.at("last_session"));
-  lasting.last_seats = unpacked<std::uint64_t>(json.at("last_seats"));
+  lasting.last_sessions = unpacked<std::uint64_t>(json.at("last_sessions"));
   lasting.last_report = json.at("last_report").get<std::string>();
   if (!lasting.last_report.empty()) need(valid(wire::parse_json(lasting.last_report)).is_object(), "a report");
   const bool stepped = now.step.has_value();

@@ -41,9 +41,7 @@ Ledger::Ledger(std::string name, Lasting lasting, HistoryMemory& memory, std::un
       history_(
           std::make_unique<History>(memory, name_, totals_.steps,
                                     journal_->reports() < totals_.steps ? "an earlier service could not keep it" : "")),
-      kept_hash_(now_.hash) {
-  if (now_.step) recent_.push_back({*now_.step, lasting_.last_session});
-}
+      kept_hash_(now_.hash) {}
 
 void Ledger::keep() {
   if (!journal_) return;
@@ -104,7 +102,7 @@ const StepReport& Ledger::take(Stepped stepped) {
   now_.filled = true;
   now_.others = false;
   wants_positions_ = false;
-  remember(report, stepped.session, std::move(stepped.sessions));
+  remember(report, std::move(stepped.sessions));
   return history_->last();
 }
 
@@ -122,30 +120,21 @@ void Ledger::take(const Asked& asked) {
   asked_ = true;
 }
 
-void Ledger::remember(const StepReport& report, const std::string& session, std::vector<std::uint64_t> seats) {
+void Ledger::remember(const StepReport& report, std::vector<std::uint64_t> sessions) {
   now_.step = report.step;
-  recent_.push_back({report.step, session_key(session)});
-  if (recent_.size() > kRememberedSteps) recent_.pop_front();
   ++totals_.steps;
   totals_.repartitions += report.repartitioned ? 1 : 0;
   totals_ += report;
   for (const std::string& name : report.skipped.names()) ++totals_.skipped[name];
   if (!std::exchange(asked_, false)) ++totals_.skipped["questions"];
-  lasting_.last_session = recent_.back().session;
-  lasting_.last_seats = std::move(seats);
+  lasting_.last_sessions = std::move(sessions);
   lasting_.last_report = text_of(report);
   keep();
   history_->add(report, lasting_.last_report, journal_.get());
 }
 
-std::optional<std::uint64_t> Ledger::repeated(const std::string& session, std::int64_t step) const {
-  const auto found = std::ranges::lower_bound(recent_, step, {}, &RememberedStep::step);
-  if (found == recent_.end() || found->step != step || found->session != session_key(session)) return std::nullopt;
-  return history_->total() - static_cast<std::uint64_t>(recent_.end() - found);
-}
-
 bool Ledger::was_in_last(const std::string& session, std::int64_t step) const {
-  return step == now_.step && std::ranges::count(lasting_.last_seats, session_key(session)) > 0;
+  return step == now_.step && std::ranges::count(lasting_.last_sessions, session_key(session)) > 0;
 }
 
 Status Ledger::check_seat(const CountRecord& record) const {
@@ -175,7 +164,6 @@ Status Ledger::check(const CountRecord& record) const {
 }
 
 CountVerdict Ledger::count(const CountRecord& record) {
-  if (const auto number = repeated(record.session, record.step)) return {CountVerdict::Repeated{*number}};
   if (Status status = check(record); !status.ok()) return {status};
   if (!now_.step) return {CountVerdict::Send{"first positions"}};
   if (now_.options.positions == Travel::every_step) return {CountVerdict::Send{"the scene's ranks hold every step"}};
@@ -229,7 +217,7 @@ CountVerdict Ledger::commit(const CountRecord& record, partition::LoadSummary lo
     frame_.clear();
   }
   report.strangers = record.strangers;
-  remember(report, record.session, record.sessions);
+  remember(report, record.sessions);
   return {std::move(done)};
 }
 

@@ -11,7 +11,6 @@
 #pragma once
 
 #include <cstdint>
-#include <deque>
 #include <functional>
 #include <map>
 #include <memory>
@@ -49,8 +48,7 @@ struct Lasting {
   SceneTotals totals;
   CostAccount costs;
   std::optional<double> error_when_not_adopted;  // error_before of the last wasted search
-  std::uint64_t last_session = 0;                // key of the session that made the last step
-  std::vector<std::uint64_t> last_seats;         // likewise, of each seat
+  std::vector<std::uint64_t> last_sessions;      // session_key() of each seat that brought the last step
   std::string last_report;                       // as JSON; empty: no step yet
 };
 
@@ -68,15 +66,11 @@ struct CountVerdict {
     StepReport report;
     std::optional<std::int64_t> previous_step;
   };
-  struct Repeated {
-    std::uint64_t number = 0;  // of the report in the history
-  };
-  std::variant<Status, Send, OtherCuts, OtherScale, Committed, Repeated> is;
+  std::variant<Status, Send, OtherCuts, OtherScale, Committed> is;
 };
 
 class Ledger {
  public:
-  static constexpr std::size_t kRememberedSteps = 1024;
   // With more parts a count would keep other clients waiting: a part takes 20 ns, with weights up to a microsecond.
   static constexpr int kPartsMax = 65536;
   static constexpr int kWeightedPartsMax = 4096;
@@ -103,10 +97,7 @@ class Ledger {
   // What a count must fit even if it is only that of one of the scene's seats. Errors: stale_step, not_found (another
   // incarnation).
   Status check_seat(const CountRecord& record) const;
-  // The number, in the history, of a step that this session has committed; nothing if it has not.
-  std::optional<std::uint64_t> repeated(const std::string& session, std::int64_t step) const;
-
-  // Whether the last step is this one, and this session had a seat in it.
+  // Whether the last step is this one, and this session has brought it, or a seat's share of it.
   bool was_in_last(const std::string& session, std::int64_t step) const;
   const std::string& last_report() const { return lasting_.last_report; }
 
@@ -118,13 +109,9 @@ class Ledger {
   bool wants_positions() const { return wants_positions_; }
 
  private:
-  struct RememberedStep {
-    std::int64_t step = 0;
-    std::uint64_t session = 0;  // session_key()
-  };
   Status check(const CountRecord& record) const;
   CountVerdict commit(const CountRecord& record, partition::LoadSummary loads, const Decision& decision);
-  void remember(const StepReport& report, const std::string& session, std::vector<std::uint64_t> seats);
+  void remember(const StepReport& report, std::vector<std::uint64_t> sessions);
   // Puts cuts and state into the journal.
   void keep();
 
@@ -134,11 +121,10 @@ class Ledger {
   SceneTotals& totals_ = lasting_.totals;
   std::unique_ptr<Journal> journal_;
   std::unique_ptr<History> history_;
-  std::uint64_t kept_hash_ = 0;        // of the cuts in the journal
-  bool keeps_ = true;                  // the journal has taken the last state
-  std::string frame_;                  // encode_frame(now_); empty: it has changed
-  std::deque<RememberedStep> recent_;  // ascending
-  bool asked_ = false;                 // a query as in SceneTotals::asked came since the last step
+  std::uint64_t kept_hash_ = 0;  // of the cuts in the journal
+  bool keeps_ = true;            // the journal has taken the last state
+  std::string frame_;            // encode_frame(now_); empty: it has changed
+  bool asked_ = false;           // a query as in SceneTotals::asked came since the last step
   bool wants_positions_ = false;
 };
 

@@ -53,6 +53,8 @@ void add_weights(const CountRecord& record, CountRecord& all) {
 
 Result<CountRecord> Tally::sum(int scene_parts) const {
   CountRecord all = *records_.front();
+  for (const auto& record : records_) all.sessions.push_back(session_key(record->session));
+  if (records_.size() == 1) return all;
   all.n = all.bytes = all.inserted = all.removed = 0;
   all.id_sum = 0;
   all.drifted.reset();

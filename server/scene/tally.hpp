@@ -11,9 +11,8 @@ namespace rcb::scene {
 
 class Tally {
  public:
-  Tally(std::int64_t step, std::size_t seats) : step_(step), records_(seats) {}
+  explicit Tally(std::size_t seats) : records_(seats) {}
 
-  std::int64_t step() const { return step_; }
   // In place of what the seat has brought before, if anything.
   void put(std::size_t seat, CountRecord record) {
     if (!has(seat)) ++have_;
@@ -28,7 +27,6 @@ class Tally {
   Result<CountRecord> sum(int scene_parts) const;
 
  private:
-  std::int64_t step_;
   std::vector<std::optional<CountRecord>> records_;  // by seat
   std::size_t have_ = 0;
 };

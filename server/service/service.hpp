@@ -23,7 +23,7 @@ class Service {
 
   // Collective, except for commands that run on rank 0 alone (server/api/commands.hpp). request: the order's JSON, the
   // same on all ranks: "command" and the arguments of PROTOCOL.md. A push is {"command":"push", ...the fields of
-  // push.begin}; its slices are on rank 0 or, if the request has a field "staged", each on its own rank.
+  // push}; its slices are on rank 0 or, if the request has a field "staged", each on its own rank.
   Response execute(const wire::Json& request, std::vector<PushSlice> slices = {}, const OrderTerms& terms = {});
 
  private:

@@ -43,8 +43,8 @@ class Blocks(Refusals, ServiceTest):
                     more = self.next(rng, block) if step > 0 else {}
                     self.one_step(rng, clients, seed, step, block, more)
             # A cold partition of the same particles cuts the same.
-            clients["gateway"].ask("scene.create", scene="cold", parts=7, dims=dims, replace=True)
-            clients["gateway"].push_block("cold", 0, block)
+            clients["endpoint"].ask("scene.create", scene="cold", parts=7, dims=dims, replace=True)
+            clients["endpoint"].push_block("cold", 0, block)
             for way, client in clients.items():
                 client.ask("rebalance", scene=f"{way}-{seed}")
                 for name in ("hash", "counts", "n"):
@@ -71,7 +71,7 @@ class Blocks(Refusals, ServiceTest):
             deal = np.split(rng.permutation(len(order)), np.sort(rng.integers(0, len(order), 2)))
             answer, _ = client.push_block(f"{way}-{seed}", step, mine, way=way_now, deal=deal, each=100, **more)
             report = answer["report"]
-            self.assertEqual(report["way"], {"gateway": "endpoint", "direct": "sockets", "shared": "shared-memory"}[way_now])
+            self.assertEqual(report["way"], way_now)
             self.assertEqual((report["inserted"], report["removed"]), (more.get("inserted", 0), more.get("removed", 0)))
             width = int(block.dtype[2]) * block.points.shape[1] + 8 + (0 if block.weights is None else 8)
             self.assertEqual((report["scanned"], report["bytes"]), (len(order), width * len(order)))
@@ -86,14 +86,14 @@ class Blocks(Refusals, ServiceTest):
         walk = random_walk(4, 3000)
         expected = judge.reports(walk, 7, self.ranks)
         for way in (*WAYS, "held"):
-            client = self.pusher("shared" if way == "held" else way)
+            client = self.pusher("shared-memory" if way == "held" else way)
             client.ask("scene.create", scene=way, parts=7)
             before = None
             for step, points in enumerate(walk):
                 more = {"drifted": expected[step]["drifted"]} if step % 2 else {}
                 if way == "held":  # each rank reads what it holds, and finds what has drifted
                     more = {"counts": None, "memory": client.laid_out(Block(points), np.arange(0))[:-1]}
-                deal = np.array_split(np.random.default_rng(step).permutation(3000), 3) if way == "shared" else None
+                deal = np.array_split(np.random.default_rng(step).permutation(3000), 3) if way == "shared-memory" else None
                 report = client.push_block(way, step, Block(points), deal=deal, **more)[0]["report"]
                 if way != "held" and not step % 2:
                     self.assertEqual(report["drifted"], 0 if step == 0 else None)
@@ -151,7 +151,7 @@ class Blocks(Refusals, ServiceTest):
                     ("invalid_argument", ("counts",), Block(points, ids), {"counts": [300, 0]}),
                     ("invalid_argument", ("counts",), Block(points, ids), {"counts": [300, 1, 0]}),
                     ("invalid_argument", ("counts",), Block(points, ids), {"counts": [300.5, -0.5, 0]})):
-                if "counts" in more and way == "gateway":
+                if "counts" in more and way == "endpoint":
                     continue
                 with self.subTest(way=way, code=code, words=words, more=more):
                     said = self.refused(code, client.push_block, scene, 5, block, **more)
@@ -174,7 +174,7 @@ class Blocks(Refusals, ServiceTest):
             client.ask("scene.create", scene=scene, parts=5)
             client.push_block(scene, 0, Block(points, ids))
             before = [str(x) for x in self.state(scene)]
-            for left in (0, 1):  # all but so many of its frames, and a byte; by memory the begin alone
+            for left in (0, 1):  # all but so many of its frames, and a byte; by memory the push alone
                 client = self.pusher(way)
                 begin, slices = client.frames(scene, 1, Block(points + 1, ids), by_socket=[1, 2])
                 for link, data in [(client.socket, begin), *slices][:-1 - left]:

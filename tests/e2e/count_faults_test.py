@@ -15,7 +15,7 @@ class CountFaults(ServiceTest, Refusals):
     ranks = 3
 
     def seats(self, scene):
-        seats = Seats(self.path, scene, 2, "when-needed", np.random.default_rng(1), ("gateway",), scene_options={"parts": 4})
+        seats = Seats(self.path, scene, 2, "when-needed", np.random.default_rng(1), ("endpoint",), scene_options={"parts": 4})
         self.addCleanup(seats.close)
         self.assertEqual([seats.step(number, POINTS)[1] for number in range(2)], [True, False])
         return seats

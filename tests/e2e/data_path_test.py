@@ -1,4 +1,4 @@
-"""The direct path: a push that breaks half-way is given up everywhere, and the next one works."""
+"""To the ranks' sockets: a push that breaks half-way is given up everywhere, and the next one works."""
 from protocol_client import Client, Refused, reframed
 from push_client import Block, PushClient
 from support import *
@@ -6,7 +6,7 @@ from support import *
 
 class Direct(PushClient):
     def __init__(self, path, **kwargs):
-        super().__init__(path, "direct", **kwargs)
+        super().__init__(path, "sockets", **kwargs)
         assert all(address.startswith("unix:") for address in self.hello["data"])
         assert [link.hello["rank"] for link in self.links] == list(range(len(self.links)))
 
@@ -140,7 +140,7 @@ class DataPath(Refusals, ServiceTest):
             client.begin("attempts", 0, points)
             with Direct(self.path, session=client.session) as late:
                 late.attempts = 3
-                self.assertIn("newer than 4", self.refused("aborted", late.push_directly, "attempts", 0, points + 1))
+                self.assertIn("not older than 4", self.refused("aborted", late.push_directly, "attempts", 0, points + 1))
             client.send_slices()
             self.assertEqual(client.finish()[0]["report"]["step"], 0)
 

@@ -93,7 +93,7 @@ class HostsTest(MachinesTest):
                 for positions in ("every-step", "when-needed"):
                     with self.subTest(layout, seats=seats, positions=positions):
                         told, sent = seats_client.history(
-                            path, TCP, "s", seats, positions, np.random.default_rng(seats), ("gateway", "direct"),
+                            path, TCP, "s", seats, positions, np.random.default_rng(seats), ("endpoint", "sockets"),
                             network=lambda k: self.hosts.network("bca"[k % 3]), token=token_of(self.data),
                             scene_options={"parts": 7, "tolerance": 0.05})
                         histories.append(told)

@@ -97,9 +97,7 @@ class Silence(unittest.TestCase):
             client.push("a", 0, points)
             ranks = service.processes("rcbd")
             os.kill(ranks[2], signal.SIGSTOP)
-            begin, part, bulk = client.push_frames("a", 1, dict(zip("xyz", points[::-1].T)), len(points))
-            client.send(begin)
-            client.send(part, bulk)
+            client.send(*client.push_frame("a", 1, dict(zip("xyz", points[::-1].T)), len(points)))
             time.sleep(0.5)
             os.kill(ranks[2], signal.SIGKILL)
             with self.assertRaises((EOFError, OSError, Refused)):

@@ -76,7 +76,7 @@ class LinksTest(MachinesTest):
         walk[1:] = walk[0] + 0.01 * walk[1:]  # some change their rank
         known = {"token": token_of(self.data), "timeout": 240}
         with self.hosts.network("a"):
-            client, watcher = PushClient(TCP, "direct", **known), PushClient(TCP, **known)
+            client, watcher = PushClient(TCP, "sockets", **known), PushClient(TCP, **known)
         self.addCleanup(client.close)
         self.addCleanup(watcher.close)
         client.ask("scene.create", scene="s", parts=PARTS)

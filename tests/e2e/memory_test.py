@@ -70,7 +70,7 @@ class Memory(Refusals, unittest.TestCase):
         service, client = self.service(0, "--bulk-bytes", "1mb")
         points = np.random.default_rng(1).random((36_000, 3))
         client.ask("scene.create", scene="big", parts=4)
-        team = [Seat(service.endpoint[5:], "big", k, 3, way="shared") for k in range(3)]
+        team = [Seat(service.endpoint[5:], "big", k, 3, way="shared-memory") for k in range(3)]
         for n, fits in ((36_000, False), (24_000, True)):  # 32 bytes each
             for k, one in enumerate(team):
                 one.start(0, np.arange(k, n, 3), points)

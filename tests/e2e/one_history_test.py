@@ -31,7 +31,7 @@ class OneHistory(unittest.TestCase):
                             with self.subTest(name, ranks=ranks, seats=seats, positions=positions, seed=SEED):
                                 told, sent = history(path, service.endpoint, name, seats, positions,
                                                      np.random.default_rng([SEED, ranks, seats]),
-                                                     ("gateway", "direct", "shared"),
+                                                     ("endpoint", "sockets", "shared-memory"),
                                                      scene_options={"parts": PARTS, "tolerance": TOLERANCE, "dims": path.shape[2]})
                                 self.assertEqual(told, expected.setdefault(name, told))
                                 new_cuts = sum(step[FIELDS.index("repartitioned")] for step in told)

@@ -62,7 +62,7 @@ class Outlive(unittest.TestCase):
             with self.assertRaises(Refused) as refused:
                 one.finish()
             self.assertEqual(refused.exception.args[0], "not_conserved")
-        for one, ids, way in zip(back, now, ("shared", "direct")):
+        for one, ids, way in zip(back, now, ("shared-memory", "sockets")):
             one.start(2, ids, points * [1, 1, 0.5], way=way)
         reports = [one.finish()[0]["report"] for one in back]
         self.assertEqual(reports[0], reports[1])

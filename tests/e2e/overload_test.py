@@ -1,5 +1,6 @@
 """No load ends the service or locks it up: queries while a rank is held up, requests that take long to read, pushes that are
 announced and never come."""
+import json
 import struct
 import threading
 import unittest.mock
@@ -127,14 +128,18 @@ class Overload(ServiceTest):
             limits = {**rude.welcome.get("limits", {}), **rude.hello.get("limits", {})}
             n = limits["bulk_bytes"] // 24 - 1
             rude.ask("scene.create", scene="announced", parts=2, replace=True)
-            begin = {"command": "push.begin", "scene": "announced", "step": 0, "attempt": 1, "n": n,
-                     "deadline_seconds": 3600}
-            rude.send(begin)
+            arrays = [{"name": axis, "dtype": "<f8", "shape": [n]} for axis in "xyz"]
+            push = {"command": "push", "scene": "announced", "step": 0, "attempt": 1, "n": n, "arrays": arrays,
+                    "deadline_seconds": 3600}
+            text = json.dumps(push).encode()
+            head = struct.pack("<4sHHIIQQ", b"RCBD", 2, REQUEST, 0, len(text), 9, 24 * n)
+            rude.write(head + struct.pack("<Q", xxh3(head + text)) + text)
             for step in range(1, 4):
                 polite.push("two", step, self.points)
-            rude.send({**begin, "attempt": 2, "path": "direct", "counts": [n, 0]})
-            for step in range(4, 7):
-                polite.push("two", step, self.points)
+            with Client(self.address, session=rude.session) as again:
+                again.send({**push, "arrays": [], "attempt": 2, "way": "sockets", "counts": [n, 0]})
+                for step in range(4, 7):
+                    polite.push("two", step, self.points)
 
 
 if __name__ == "__main__":

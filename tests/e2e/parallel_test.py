@@ -172,9 +172,10 @@ class Seats(ServiceTest):
         halves = np.array_split(np.arange(600), 4)
         for k in (0, 3):
             team[k].start(0, halves[k], self.walk[0], deadline_seconds=1)
-        team[1].begin(0, halves[1], self.walk[0], deadline_seconds=9)  # and this one no slice
+        team[1].begin(0, halves[1], self.walk[0], deadline_seconds=9)  # and this one no rows
         for k in (0, 1, 3):
             self.refused(team[k], "deadline_exceeded", "seat 1", "seat 2", "step 0")
+        team[1].rest()  # which is dropped
         self.push_all(team, 0, halves, self.walk[0])
         self.assertEqual(self.state("late")[0]["step"], 0)
 
@@ -286,7 +287,7 @@ class Seats(ServiceTest):
         team[1].close()
         back = Seat(self.path, "again", 1, 2, session=team[1].session)
         self.addCleanup(back.close)
-        back.start(0, halves[1][:9], self.walk[1], way="direct")  # whatever it brings
+        back.start(0, halves[1][:9], self.walk[1], way="sockets")  # whatever it brings
         answer, arrays = back.finish()
         self.assertEqual((answer["repeated"], answer["report"], arrays), (True, answers[1][0]["report"], {}))
         stranger = Seat(self.path, "again", 1, 2, generation=7)
@@ -332,14 +333,10 @@ class Seats(ServiceTest):
         both("not_conserved", (), ids[:300], np.append(ids[301:], 700), more, step=1)
         both("not_conserved", (), ids[:300], np.append(ids[301:], 299), more, step=1)
         team[0].begin(1, ids[:300], self.walk[1])
-        # What it sends next must be its slice: a change of the scene would keep that waiting.
-        with self.assertRaises(Refused) as caught:
-            team[0].ask("rebalance", scene="wrong")
-        self.assertEqual(caught.exception.args[0], "busy")
-        self.control.ask("status")
+        time.sleep(0.3)
         for step, more, words in ((2, {}, ("step 2", "step 1")), (1, {"step_seconds": -1}, ("step_seconds",)),
                                   (1, {"weights": True}, ("weights",)), (1, {"ids": False}, ("ids",))):
-            team[1].begin(step, ids[300:], self.walk[1], **more)
+            team[1].start(step, ids[300:], self.walk[1], **more)
             self.refused(team[1], "invalid_argument", *words)
         self.assertEqual(self.state("wrong"), before)
         team[0].rest()
@@ -350,7 +347,7 @@ class Seats(ServiceTest):
     def test_what_is_wrong_in_a_block_to_the_ranks_ends_the_step_for_all(self):
         self.create("odd")
         shares = np.array_split(np.arange(600), 4)
-        team = self.team("odd", 4, way="direct")
+        team = self.team("odd", 4, way="sockets")
         self.push_all(team, 0, shares, self.walk[0])
         before = self.state("odd")
 

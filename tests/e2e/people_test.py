@@ -246,7 +246,7 @@ class People(ServiceTest):
         self.service.json("scene", "create", "weighted", "--parts", 2)
         self.service.json("push", "weighted", file, "--weights", "w")
         with Client(self.path) as client:
-            client.ask("push.begin", scene="weighted", step=1, n=0, removed=4)
+            client.ask("push", scene="weighted", step=1, n=0, removed=4)
         folder = os.path.join(self.dir, "nobody")
         told = self.service.json("export", "weighted", folder, "--format", "csv,npy")
         self.assertEqual(sorted(os.path.basename(file) for file in told["files"]), sorted(os.listdir(folder)))

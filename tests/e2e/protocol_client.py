@@ -31,12 +31,13 @@ def frame(kind, request, document, bulk=b"", flags=0):
 
 
 def reframed(data, change):
-    """The frame with its JSON changed by a function, and a checksum that holds."""
-    _, _, kind, flags, text, request, bulk = struct.unpack("<4sHHIIQQ", data[:32])
+    """The frame, or its beginning, with its JSON changed by a function, and a checksum that holds."""
+    magic, version, kind, flags, text, request, bulk = struct.unpack("<4sHHIIQQ", data[:32])
     document = json.loads(data[40: 40 + text])
     change(document)
-    tail = data[40 + text:]
-    return frame(kind, request, document, tail[:bulk], flags)
+    words = json.dumps(document).encode()
+    head = struct.pack("<4sHHIIQQ", magic, version, kind, flags, len(words), request, bulk)
+    return head + struct.pack("<Q", xxh3(head + words)) + words + data[40 + text:]
 
 
 def described(columns, dtypes={}):
@@ -199,25 +200,17 @@ class Client:
         self.send({"command": command, **arguments})
         return self.answer()
 
-    def push_frames(self, scene, step, columns, n, attempt=0):
-        """The two frames of a push by the gateway: (begin, slice, the bulk of that)."""
-        push = {"scene": scene, "step": step, "attempt": attempt}
-        begin = {"command": "push.begin", **push, "n": n, "ids": "id" in columns}
-        arrays, bulk = described(columns)
-        return begin, {"command": "push.slice", **push, "count": n, "arrays": arrays}, bulk
+    def push_frame(self, scene, step, columns, n, attempt=0):
+        """A push through the endpoint: its JSON, its bulk."""
+        arrays, bulk = described(columns) if n else ([], b"")
+        return {"command": "push", "scene": scene, "step": step, "attempt": attempt, "n": n, "ids": "id" in columns,
+                "arrays": arrays}, bulk
 
     def push(self, scene, step, points, attempt=0, flags=0, ids=None, **more):
         columns = dict(zip("xyz", points.T)) | ({} if ids is None else {"id": ids})
-        begin, part, bulk = self.push_frames(scene, step, columns, len(points), attempt)
-        self.send({**begin, **more})
-        number = self.number
-        if len(points):
-            self.send(part, bulk, flags)
-        self.number = number
-        try:
-            return self.answer()
-        finally:
-            self.number = number + 1
+        push, bulk = self.push_frame(scene, step, columns, len(points), attempt)
+        self.send({**push, **more}, bulk, flags)
+        return self.answer()
 
     def link_ranks(self):
         """A connection to each rank, for as long as this one lasts."""

@@ -76,9 +76,7 @@ class Protocol(Refusals, ServiceTest):
         columns = {name: points[:, k] + 1 for k, name in enumerate("xyz")}
         for cut in (0, 1, 39, 40, 500, 60_000, 119_000):
             client = self.client()
-            begin, part, bulk = client.push_frames("gone", 1, columns, 5000)
-            client.send(begin)
-            client.socket.sendall(frame(REQUEST, 99, part, bulk)[:cut])
+            client.socket.sendall(frame(REQUEST, 99, *client.push_frame("gone", 1, columns, 5000))[:cut])
             client.close()
         self.assertEqual(self.service.json("scene", "show", "gone"), before)
         with self.client() as client:
@@ -89,13 +87,12 @@ class Protocol(Refusals, ServiceTest):
         with self.client() as holder, self.client() as second:
             holder.ask("scene.create", scene="held", parts=2)
             columns = {name: points[:, k] for k, name in enumerate("xyz")}
-            begin, part, bulk = holder.push_frames("held", 0, columns, 50)
-            holder.send(begin)
-            number = holder.number
+            holder.number += 1
+            push = frame(REQUEST, holder.number, *holder.push_frame("held", 0, columns, 50))
+            holder.socket.sendall(push[:-9])
             time.sleep(0.3)
             self.assertIn("e2e", self.refused("busy", second.push, "held", 0, points))
-            holder.send(part, bulk)
-            holder.number = number
+            holder.socket.sendall(push[-9:])
             answer, _ = holder.answer()
             self.assertEqual(answer["report"]["step"], 0)
             self.assertEqual(self.service.ctl("status").returncode, 0)
@@ -138,7 +135,7 @@ class Protocol(Refusals, ServiceTest):
                 client.answer()
         self.alive()
 
-    def test_slices_that_lie(self):
+    def test_pushes_that_lie(self):
         points = np.random.default_rng(1).random((40, 3))
         columns = {name: points[:, k] for k, name in enumerate("xyz")}
         with self.client() as client:
@@ -146,32 +143,26 @@ class Protocol(Refusals, ServiceTest):
             client.push("lies", 0, points)
         before = self.service.json("scene", "show", "lies")
 
-        def attempt(change_begin, change_slice, cut=None):
+        def attempt(changes, bytes_more=0):
             with self.client() as client:
-                begin, part, bulk = client.push_frames("lies", 1, columns, 40)
-                begin.update(change_begin)
-                part.update(change_slice)
-                client.send(begin)
-                number = client.number
-                client.send(part, bulk)
-                client.number = number
+                push, bulk = client.push_frame("lies", 1, columns, 40)
+                client.send(push | changes, bulk + bytes(bytes_more))
                 with self.assertRaises((Refused, EOFError)) as caught:
                     client.answer()
                 return caught.exception
 
-        attempt({"n": 41}, {})
-        attempt({"n": -1}, {})
-        attempt({"n": 2**60}, {})
-        attempt({"step": -1}, {})
-        attempt({"scene": "nobody"}, {})
-        attempt({"weights": True}, {})
-        attempt({"path": "chaos"}, {})
-        attempt({"dtype": "<f4"}, {})
-        attempt({"ids": True}, {})
-        attempt({"counts": [40, 0, 0]}, {})
-        attempt({}, {"arrays": [{"name": "x", "dtype": "<f8", "shape": [120]}]})
-        attempt({}, {"arrays": [{"name": n, "dtype": "<f8", "shape": [40]} for n in "xyy"]})
-        attempt({}, {"count": 39})
+        for n in (39, 41, -1, 2**60):
+            attempt({"n": n})
+        attempt({"step": -1})
+        attempt({"scene": "nobody"})
+        attempt({"weights": True})
+        attempt({"way": "chaos"})
+        attempt({"dtype": "<f4"})
+        attempt({"ids": True})
+        attempt({"counts": [40, 0, 0]})
+        attempt({"arrays": [{"name": "x", "dtype": "<f8", "shape": [120]}]})
+        attempt({"arrays": [{"name": n, "dtype": "<f8", "shape": [40]} for n in "xyy"]})
+        attempt({}, bytes_more=8)
         self.assertEqual(self.service.json("scene", "show", "lies"), before)
         with self.client() as client:
             client.push("lies", 1, points)

@@ -1,11 +1,11 @@
-"""Blocks by every way, from PROTOCOL.md alone: by the gateway, straight to the ranks, and from memory shared with them."""
+"""Blocks by every way, from PROTOCOL.md alone: through the endpoint, to the ranks' sockets, and from memory shared with them."""
 import dataclasses
 
 import numpy as np
 from protocol_client import REQUEST, arrays_of, described, frame
 from shared_memory_client import Sharer
 
-WAYS = ("gateway", "direct", "shared")
+WAYS = ("endpoint", "sockets", "shared-memory")
 
 
 @dataclasses.dataclass
@@ -31,36 +31,40 @@ class Block:
 class PushClient(Sharer):
     """`way`: of its pushes, where these don't say another. Ranks get rows as `deal` says, else about as many each."""
 
-    def __init__(self, address, way="gateway", **kwargs):
+    def __init__(self, address, way="endpoint", **kwargs):
         super().__init__(address, **kwargs)
         self.way, self.area = way, b""
-        if way != "gateway":
+        if way != "endpoint":
             self.link_ranks()
 
     def frames(self, scene, number, block, way=None, deal=None, by_socket=(), each=None, **more):
-        """The push of a block: its begin; its slices, each with its socket. A rank's slice comes in frames of `each` rows,
+        """The push of a block, but for rows that follow it; these, each with its socket. A rank's slice comes in frames of `each` rows,
         over its connection also by way of memory, where `by_socket` has it."""
         way, n = way or self.way, len(block.points)
         each = each or n + 1
         self.attempts += 1
         self.push_id = {"scene": scene, "step": number, "attempt": self.attempts}
-        begin = {"command": "push.begin", **self.push_id, "n": n, "path": way, "dtype": block.dtype,
-                 "ids": block.ids is not None, "weights": block.weights is not None}
-        if way == "gateway":
-            slices = [(self.socket, slice(None), {})] if n else []
-        else:
+        push = {"command": "push", **self.push_id, "n": n, "way": way, "dtype": block.dtype,
+                "ids": block.ids is not None, "weights": block.weights is not None}
+        slices, bulk = [], b""
+        if way == "endpoint" and n:
+            push["arrays"], bulk = block.arrays()
+        elif way != "endpoint":
             if not self.links:
                 self.link_ranks()
             deal = np.array_split(np.arange(n), len(self.links)) if deal is None else deal
-            begin["counts"] = [len(rows) for rows in deal]
-            if way == "shared":
-                begin |= {"memory": self.laid_out(block, np.concatenate(deal)), "sockets": list(by_socket)}
+            push["counts"] = [len(rows) for rows in deal]
+            if way == "shared-memory":
+                push |= {"memory": self.laid_out(block, np.concatenate(deal)), "sockets": list(by_socket)}
             slices = [(self.links[rank].socket, rows[first: first + each], {"rank": rank, "first": first})
-                      for rank, rows in enumerate(deal) if way == "direct" or rank in by_socket
+                      for rank, rows in enumerate(deal) if way == "sockets" or rank in by_socket
                       for first in range(0, len(rows), each)]
         self.number += 1
         self.begun = self.number
-        return frame(REQUEST, self.number, begin | more), [(link, self.slice(block, *of)) for link, *of in slices]
+        whole = frame(REQUEST, self.number, push | more, bulk, flags=1)
+        if bulk:
+            return whole[:-len(bulk) - 8], [(self.socket, whole[-len(bulk) - 8:])]
+        return whole, [(link, self.slice(block, *of)) for link, *of in slices]
 
     def slice(self, block, rows, place):
         arrays, bulk = block.arrays(rows)

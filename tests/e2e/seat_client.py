@@ -27,7 +27,7 @@ class Seat(PushClient):
         self.opened = self.ask("scene.open", scene=scene, seat=seat, seats=seats, generation=generation)[0]
 
     def begin(self, number, rows, points, cut=None, **more):
-        """Of the push all but the last `cut` bytes; None: the begin alone."""
+        """Of the push all but the last `cut` bytes; None: all but the rows."""
         begin, slices = self.frames(self.scene, number, Block(points[rows], rows), **{"deadline_seconds": 20, **more})
         self.socket.sendall(begin)
         self.slices = slices

@@ -117,8 +117,7 @@ class Solver:
             rows = np.flatnonzero(self.part == k)
             push = {"step": step, "attempt": step}
             columns = dict(zip("xyz", self.x[rows].T)) | {"id": rows}
-            frames[k] = (self.request("push.begin", **push, n=len(rows), ids=True, **more) +
-                         (self.request("push.slice", columns, **push, count=len(rows)) if len(rows) else b""))
+            frames[k] = self.request("push", columns if len(rows) else None, **push, n=len(rows), ids=True, **more)
         return frames
 
     def counts(self, step):

@@ -50,7 +50,7 @@ class SharedClient(Sharer):
         return np.frombuffer(memory, dtype, n * dims).reshape(n, dims)
 
     def begin(self, scene, step, array, arrays=None, **more):
-        """push.begin of the last array of positions, with its request number."""
+        """The push of the last array of positions, with its request number."""
         n, dims = array.shape
         width = array.dtype.itemsize
         arrays = arrays or [{"name": "xyz"[a], "offset": a * width, "stride": dims * width} for a in range(dims)]
@@ -58,8 +58,8 @@ class SharedClient(Sharer):
         self.attempts += 1
         self.number += 1
         return frame(REQUEST, self.number, {
-            "command": "push.begin", "scene": scene, "step": step, "attempt": self.attempts,
-            "n": n, "path": "shared", "dtype": array.dtype.str, "memory": memory} | more)
+            "command": "push", "scene": scene, "step": step, "attempt": self.attempts,
+            "n": n, "way": "shared-memory", "dtype": array.dtype.str, "memory": memory} | more)
 
     def step(self, scene, step, array, arrays=None, **more):
         self.write(self.begin(scene, step, array, arrays, **more))

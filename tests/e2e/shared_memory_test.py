@@ -144,7 +144,7 @@ class SharedMemory(Refusals, ServiceTest):
     def test_a_list_of_rows_and_ranks_that_get_slices(self):
         points, n = self.walk[0], len(self.walk[0])
         ids, rng = np.random.default_rng(2).permutation(n) * 7 + 1, np.random.default_rng(3)
-        with PushClient(self.path, "shared") as client, PushClient(self.path) as judge:
+        with PushClient(self.path, "shared-memory") as client, PushClient(self.path) as judge:
             for name in ("listed", "listed-by-hand"):
                 client.ask("scene.create", scene=name, parts=7)
             for step, sockets in enumerate(((), (1,), (0, 2), (0, 1, 2), ())):
@@ -266,7 +266,7 @@ class SharedMemory(Refusals, ServiceTest):
             answer, bulk = client.ask("fetch", scene="s")
             self.assertEqual(set(arrays_of(answer, bulk)["x"]), {0.0})
             with Client(self.path) as foreign:  # another session's number is nobody else's
-                self.refused("aborted", foreign.ask, "push.begin", scene="s", step=2, attempt=1, n=n, path="shared", memory=[
+                self.refused("aborted", foreign.ask, "push", scene="s", step=2, attempt=1, n=n, way="shared-memory", memory=[
                     {"name": "xyz"[a], "number": 1, "offset": 8 * a, "stride": 24} for a in range(3)])
             links, client.links = client.links, []
             for link in links:

@@ -13,7 +13,7 @@ PORT = 7470
 N = 20000
 OTHER_CERTIFICATE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "another_certificate.pem")  # not the service's
 # What no network should see, whatever a client does: words of the protocol, and a scene's name.
-WORDS = [b"RCBD", b"welcome", b"authentication", b"push.begin", b"confidential"]
+WORDS = [b"RCBD", b"welcome", b"authentication", b"push", b"confidential"]
 
 
 class Sniffer:
@@ -203,7 +203,7 @@ class TlsTest(Refusals, MachinesTest):
                              "a process has one certificate, and shares it with no other")
             show = client.ask("scene.create", scene="s", parts=5, dims=2)[0]
             push = {"scene": "s", "step": 0, "attempt": 1}
-            client.send({"command": "push.begin", **push, "n": 1000, "path": "direct", "counts": [500, 500]})
+            client.send({"command": "push", **push, "n": 1000, "way": "sockets", "counts": [500, 500]})
             for rank, connection in enumerate(ranks):
                 part = points[rank * 500: (rank + 1) * 500]
                 arrays, bulk = described({"x": part[:, 0], "y": part[:, 1]})

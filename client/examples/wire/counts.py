@@ -54,8 +54,7 @@ for number, x in enumerate(steps):
         send(scene | {"command": "count"}, bulk=struct.pack("<15Q", *record) + np.stack([part, count], 1).astype("<u8").tobytes())
         answer = receive()[0]
     if "report" not in answer:
-        send(step | {"command": "push.begin"})
-        send(step | {"command": "push.slice", "count": len(x)}, {axis: x[:, a] for a, axis in enumerate("xyz")})
+        send(step | {"command": "push"}, {axis: x[:, a] for a, axis in enumerate("xyz")})
         answer = receive()[0]
         if answer["report"]["repartitioned"]: known = {}
     print(json.dumps(answer["report"]))

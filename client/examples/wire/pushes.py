@@ -33,7 +33,6 @@ send(2, 1, {"protocol": 2, "client": "example 1", "session": f"{random.getrandbi
 receive()
 send(3, 2, {"command": "scene.create", "scene": "demo", "parts": 4, "replace": True})
 receive()
-n, step = 1000, {"scene": "demo", "step": 0}
-send(3, 3, step | {"command": "push.begin", "n": n})
-send(3, 3, step | {"command": "push.slice", "count": n}, {axis: [random.random() for _ in range(n)] for axis in "xyz"})
+n = 1000
+send(3, 3, {"command": "push", "scene": "demo", "step": 0, "n": n}, {axis: [random.random() for _ in range(n)] for axis in "xyz"})
 print(receive()[0]["report"])

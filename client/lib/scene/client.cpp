@@ -83,7 +83,7 @@ Status Client::shutdown_service() {
 }
 
 Result<Reply> Client::call(const std::string& command, const std::string& arguments_json, double deadline_seconds) {
-  if (command.starts_with("push.") || command.empty())
+  if (command == "push" || command.empty())
     return Status(Code::unsupported, fmt::format("the command '{}' can't be called so", command), "use Scene::step");
   if (!(deadline_seconds >= 0))
     return Status(Code::invalid_argument, fmt::format("a deadline of {} seconds", deadline_seconds), "give 0 or more");

@@ -26,15 +26,15 @@ bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) 
 }
 
 Result<Scene::State::Way> Scene::State::choose_way(const StepRequest& ask, const Retry& retry) const {
-  if (ask.positions.count == 0) return Way::gateway;
+  if (ask.positions.count == 0) return Way::endpoint;
   if (by_shared_memory(ask, retry)) {
     const bool rows_are_ids = ask.options.ids.empty() && !has_ids_ && !seated() && !ask.flows();
     return rows_are_ids && session().ranks_apart().empty() ? Way::held : Way::shared;
   }
   const Path path = session().path();
-  if (path == Path::gateway || (path != Path::direct && !ask.large())) return Way::gateway;
-  if (session().data(retry.deadline()) != nullptr) return Way::direct;
-  if (path != Path::direct) return Way::gateway;
+  if (path == Path::gateway || (path != Path::direct && !ask.large())) return Way::endpoint;
+  if (session().data(retry.deadline()) != nullptr) return Way::sockets;
+  if (path != Path::direct) return Way::endpoint;
   return session().no_data();
 }
 
@@ -66,20 +66,20 @@ RankRows Scene::State::rows_by_rank(const StepRequest& ask, bool grouped, std::s
   return rows;
 }
 
-wire::Json Scene::State::begin_json(std::int64_t step, const Retry& retry) const {
-  wire::Json begin{{"command", "push.begin"},
-                   {"scene", name_},
-                   {"step", step},
-                   {"attempt", session().next_attempt()},
-                   {"n", 0},
-                   {"cuts_known", cuts_.known_json()},
-                   {"deadline_seconds", retry.seconds_left()}};
-  if (!incarnation_.empty()) begin["incarnation"] = incarnation_;
-  return begin;
+wire::Json Scene::State::push_json(std::int64_t step, const Retry& retry) const {
+  wire::Json push{{"command", "push"},
+                  {"scene", name_},
+                  {"step", step},
+                  {"attempt", session().next_attempt()},
+                  {"n", 0},
+                  {"cuts_known", cuts_.known_json()},
+                  {"deadline_seconds", retry.seconds_left()}};
+  if (!incarnation_.empty()) push["incarnation"] = incarnation_;
+  return push;
 }
 
 Result<Frame> Scene::State::ask_for_answer(std::int64_t step, const Retry& retry) const {
-  return session().call_once(begin_json(step, retry), retry);
+  return session().call_once(push_json(step, retry), retry);
 }
 
 std::span<const std::int64_t> Scene::State::row_numbers(std::size_t count) {
@@ -95,7 +95,7 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, cons
   if (!way) return way.status();
   way_ = *way;
   const std::size_t count = ask.positions.count;
-  const bool to_ranks = way_ == Way::direct || way_ == Way::shared;
+  const bool to_ranks = way_ == Way::sockets || way_ == Way::shared;
   // A wrong value is told by the ranks: also to the others, if there are any.
   const bool classified = (way_ != Way::held || ask.wants()) && cuts_.known &&
                           counted_.find_parts(*cuts_.known, rows_of(ask), last_step_).ok();
@@ -105,17 +105,17 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, cons
   // A rank numbers rows without ids as they come over its socket, or by the list in memory. Where neither tells the
   // row, ids do: rows that were grouped by rank go over sockets, or some ranks read memory and others a socket.
   const bool some_apart = way_ == Way::shared && !session().ranks_apart().empty();
-  if (values.ids.empty() && (some_apart || (way_ == Way::direct && grouped))) values.ids = row_numbers(count);
-  wire::Json begin = begin_json(step, retry);
-  begin.update({{"n", count},
-                {"dtype", ask.positions.single() ? "<f4" : "<f8"},
-                {"weights", !values.weights.empty()},
-                {"ids", !values.ids.empty()},
-                {"inserted", ask.options.inserted},
-                {"removed", ask.options.removed}});
-  if (ask.options.step_seconds) begin["step_seconds"] = *ask.options.step_seconds;
-  if (const auto drifted = counted_.drifted(); drifted && last_step_) begin["drifted"] = *drifted;
-  if (!to_ranks) return send(std::move(begin), ask, {}, values, retry);
+  if (values.ids.empty() && (some_apart || (way_ == Way::sockets && grouped))) values.ids = row_numbers(count);
+  wire::Json push = push_json(step, retry);
+  push.update({{"n", count},
+               {"dtype", ask.positions.single() ? "<f4" : "<f8"},
+               {"weights", !values.weights.empty()},
+               {"ids", !values.ids.empty()},
+               {"inserted", ask.options.inserted},
+               {"removed", ask.options.removed}});
+  if (ask.options.step_seconds) push["step_seconds"] = *ask.options.step_seconds;
+  if (const auto drifted = counted_.drifted(); drifted && last_step_) push["drifted"] = *drifted;
+  if (!to_ranks) return send(std::move(push), ask, {}, values, retry);
   std::span<std::uint64_t> list;
   if (way_ == Way::shared) {
     const auto room = arrays_.row_list(count);
@@ -126,36 +126,36 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, cons
     list = list_.span();
   }
   RankRows rows = rows_by_rank(ask, grouped, list);
-  for (const Rows& of_rank : rows) begin["counts"].push_back(of_rank.count);
-  return send(std::move(begin), ask, std::move(rows), values, retry);
+  for (const Rows& of_rank : rows) push["counts"].push_back(of_rank.count);
+  return send(std::move(push), ask, std::move(rows), values, retry);
 }
 
-Result<Frame> Scene::State::send(wire::Json begin, const StepRequest& ask, RankRows rows, const Values& values,
+Result<Frame> Scene::State::send(wire::Json push, const StepRequest& ask, RankRows rows, const Values& values,
                                  const Retry& retry) {
   const Deadline& deadline = retry.deadline();
-  const std::string what = fmt::format("push of step {} to scene '{}'", begin["step"].get<std::int64_t>(), name_);
+  const std::string what = fmt::format("push of step {} to scene '{}'", push["step"].get<std::int64_t>(), name_);
   const std::uint64_t request = session().next_request();
   const std::size_t count = ask.positions.count;
   const auto columns = columns_of(ask.positions, values.weights, values.ids);
-  if (way_ == Way::gateway) {
-    begin["path"] = "gateway";
-    PushSource source(begin, request, count, columns);
+  if (way_ == Way::endpoint) {
+    push["way"] = "endpoint";
+    PushSource source(push, request, count, columns);
     return session().exchange(request, source, what, deadline);
   }
-  if (way_ == Way::direct) {
-    begin["path"] = "direct";
-    return session().exchange_directly(request, begin, rows, columns, what, deadline);
+  if (way_ == Way::sockets) {
+    push["way"] = "sockets";
+    return session().exchange_directly(request, push, rows, columns, what, deadline);
   }
   auto memory = arrays_.describe(session(), columns, count, way_ == Way::shared ? count : 0, deadline);
   if (!memory) return memory.status();
-  begin["path"] = "shared";
-  begin["memory"] = std::move(*memory);
+  push["way"] = "shared-memory";
+  push["memory"] = std::move(*memory);
   const auto apart = session().ranks_apart();
-  if (apart.empty()) return session().exchange_frames(request, request_frame(request, begin), what, deadline);
-  begin["sockets"] = apart;
+  if (apart.empty()) return session().exchange_frames(request, request_frame(request, push), what, deadline);
+  push["sockets"] = apart;
   for (int rank = 0; rank < session().ranks(); ++rank)
     if (session().shares_with(rank)) rows[static_cast<std::size_t>(rank)] = {};
-  return session().exchange_directly(request, begin, rows, columns, what, deadline);
+  return session().exchange_directly(request, push, rows, columns, what, deadline);
 }
 
 }  // namespace rcb::client

@@ -70,7 +70,7 @@ struct Scene::State {
     std::uint64_t generation = 0;  // of the seat
   };
   // How rows come to the ranks. held: from shared memory, each rank those of the particles that it holds.
-  enum class Way { gateway, direct, shared, held };
+  enum class Way { endpoint, sockets, shared, held };
 
   // What a push brings beside positions.
   struct Values {
@@ -118,8 +118,8 @@ struct Scene::State {
 
   // Of a step that the service has committed. It is answered by the report alone.
   Result<Frame> ask_for_answer(std::int64_t step, const Retry& retry) const;
-  // What every push.begin says.
-  wire::Json begin_json(std::int64_t step, const Retry& retry) const;
+  // What every push says.
+  wire::Json push_json(std::int64_t step, const Retry& retry) const;
   Result<Way> choose_way(const StepRequest& ask, const Retry& retry) const;
   // Whether the rows can come from shared memory, and are to.
   bool by_shared_memory(const StepRequest& ask, const Retry& retry) const;
@@ -129,7 +129,7 @@ struct Scene::State {
   std::span<const std::int64_t> row_numbers(std::size_t count);
   Result<Frame> push(const StepRequest& ask, std::int64_t step, const Retry& retry);
   // rows: by rank, where the push says which rows each is to take.
-  Result<Frame> send(wire::Json begin, const StepRequest& ask, RankRows rows, const Values& values, const Retry& retry);
+  Result<Frame> send(wire::Json push, const StepRequest& ask, RankRows rows, const Values& values, const Retry& retry);
 
   std::shared_ptr<Client::State> client_;
   std::string name_;
@@ -157,7 +157,7 @@ struct Scene::State {
   SharedArrays arrays_;
   Buffer<std::uint64_t> list_;      // of rows, rank after rank
   Buffer<std::int64_t> numbers_;    // 0, 1, ...
-  Way way_ = Way::gateway;          // of the current attempt
+  Way way_ = Way::endpoint;         // of the current attempt
   bool share_unsupported_ = false;  // a rank, or this kernel, doesn't take this scene's positions so
 };
 

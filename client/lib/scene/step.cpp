@@ -161,7 +161,7 @@ Result<std::optional<Answer>> Scene::State::step_by_count(const StepRequest& ask
 }
 
 Result<StepResult> Scene::State::try_step(const StepRequest& ask, std::int64_t step, const Retry& retry) {
-  way_ = Way::gateway;
+  way_ = Way::endpoint;
   if (Status status = hold(retry); !status) return status;
   const bool tried_before = unanswered_.begin(step);
   const bool committed = tried_before && last_step_ == step;

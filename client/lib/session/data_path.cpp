@@ -52,7 +52,8 @@ struct DataPath::Link {
     wire::Json json = slice;
     json["rank"] = rank;
     json["first"] = sent;
-    head = slice_head(std::move(json), request, columns, rows.count);
+    json["count"] = rows.count;
+    head = frame_head(std::move(json), request, columns, rows.count);
     pieces.clear();
     piece = 0;
     add(head.data(), head.size());

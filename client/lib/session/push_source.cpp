@@ -52,9 +52,9 @@ std::vector<Column> columns_of(const Positions& positions, std::span<const doubl
   return columns;
 }
 
-wire::Json slice_json(const wire::Json& begin) {
+wire::Json slice_json(const wire::Json& push) {
   wire::Json slice{{"command", "push.slice"}};
-  for (const char* name : {"scene", "step", "attempt"}) slice[name] = begin.at(name);
+  for (const char* name : {"scene", "step", "attempt"}) slice[name] = push.at(name);
   return slice;
 }
 
@@ -64,23 +64,20 @@ std::size_t particle_bytes(std::span<const Column> columns) {
   return bytes;
 }
 
-std::string slice_head(wire::Json slice, std::uint64_t request, std::span<const Column> columns, std::size_t count) {
-  slice["count"] = count;
-  slice["arrays"] = wire::Json::array();
+std::string frame_head(wire::Json json, std::uint64_t request, std::span<const Column> columns, std::size_t count) {
+  json["arrays"] = wire::Json::array();
   for (const Column& column : columns)
-    slice["arrays"].push_back({{"name", column.name}, {"dtype", column.dtype}, {"shape", {count}}});
+    json["arrays"].push_back({{"name", column.name}, {"dtype", column.dtype}, {"shape", {count}}});
   wire::FrameHeader header;
   header.request = request;
   header.bulk_bytes = count * particle_bytes(columns);
-  return wire::encode_frame(header, wire::dump_json(slice));
+  return wire::encode_frame(header, wire::dump_json(json));
 }
 
-PushSource::PushSource(const wire::Json& begin, std::uint64_t request, std::size_t count, std::vector<Column> columns)
-    : head_(request_frame(request, begin)), columns_(std::move(columns)), count_(count) {
-  if (count > 0)
-    head_ += slice_head(slice_json(begin), request, columns_, count);
-  else
-    columns_.clear();
+PushSource::PushSource(const wire::Json& push, std::uint64_t request, std::size_t count, std::vector<Column> columns)
+    : columns_(std::move(columns)), count_(count) {
+  if (count == 0) columns_.clear();
+  head_ = frame_head(push, request, columns_, count);
 }
 
 std::span<const Bytes> PushSource::next() {

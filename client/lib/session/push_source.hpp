@@ -1,8 +1,7 @@
 // The arrays of a push on their way to sockets: which rows, from where.
 //
-// PushSource: makes the frames of a push through the endpoint while they are sent: push.begin, then a push.slice with
-// all rows in their order. What lies contiguously in the caller's memory is sent from there; everything else is
-// gathered, through one buffer of 1 MiB.
+// PushSource: makes the frame of a push through the endpoint while it is sent, all rows in their order. What lies
+// contiguously in the caller's memory is sent from there; everything else is gathered, through one buffer of 1 MiB.
 #pragma once
 
 #include <algorithm>
@@ -62,24 +61,24 @@ bool interleaved(std::span<const Column> columns);
 std::vector<Column> columns_of(const Positions& positions, std::span<const double> weights,
                                std::span<const std::int64_t> ids);
 
-// The fields that every slice of a push has in common with its push.begin.
-wire::Json slice_json(const wire::Json& begin);
+// The fields that every push.slice has in common with its push.
+wire::Json slice_json(const wire::Json& push);
 
 // Bytes of one particle in all columns.
 std::size_t particle_bytes(std::span<const Column> columns);
 
-// The head of a slice's frame, before its columns, which hold `count` elements each. slice: its other fields.
-std::string slice_head(wire::Json slice, std::uint64_t request, std::span<const Column> columns, std::size_t count);
+// The head of a frame, before its columns, which hold `count` elements each. json: its other fields.
+std::string frame_head(wire::Json json, std::uint64_t request, std::span<const Column> columns, std::size_t count);
 
 class PushSource {
  public:
   // The memory of the columns must outlive the source.
-  PushSource(const wire::Json& begin, std::uint64_t request, std::size_t count, std::vector<Column> columns);
+  PushSource(const wire::Json& push, std::uint64_t request, std::size_t count, std::vector<Column> columns);
   // The next bytes, valid until the next call; empty: the end.
   std::span<const Bytes> next();
 
  private:
-  std::string head_;  // all but the columns
+  std::string head_;  // before the columns
   std::vector<Column> columns_;
   std::size_t count_;
   bool begun_ = false;      // head_ has been sent

@@ -118,8 +118,8 @@ class Session {
   // Sends whole frames to the endpoint and waits for the answer.
   Result<Frame> exchange_frames(std::uint64_t request, const std::string& frames, const std::string& what,
                                 const Deadline& deadline);
-  // Sends push.begin to the endpoint and the slices of these rows over data().
-  Result<Frame> exchange_directly(std::uint64_t request, const wire::Json& begin, const RankRows& rows,
+  // Sends the push to the endpoint and the slices of these rows over data().
+  Result<Frame> exchange_directly(std::uint64_t request, const wire::Json& push, const RankRows& rows,
                                   std::span<const Column> columns, const std::string& what, const Deadline& deadline);
   Path path() const { return options_.path; }
   // Sends one command and returns its answer; waits for a lost service.

@@ -118,15 +118,15 @@ void Session::give_up_data() {
   data_tried_ = ++data_failures_ > 1 && options_.path != Path::direct;
 }
 
-Result<Frame> Session::exchange_directly(std::uint64_t request, const wire::Json& begin, const RankRows& rows,
+Result<Frame> Session::exchange_directly(std::uint64_t request, const wire::Json& push, const RankRows& rows,
                                          std::span<const Column> columns, const std::string& what,
                                          const Deadline& deadline) {
   if (!connection_) return lost_connection();
   // Lost when memory was taken back from the ranks, for one.
   if (data_ == nullptr) return Status(Code::aborted, "the connections to the ranks were lost");
-  if (connection_->write(request_frame(request, begin), deadline)) {
+  if (connection_->write(request_frame(request, push), deadline)) {
     const auto answered = [this] { return connection_->has_frame(); };
-    const Status sent = data_->send(slice_json(begin), request, rows, columns, answered, deadline);
+    const Status sent = data_->send(slice_json(push), request, rows, columns, answered, deadline);
     if (!sent) {
       give_up_data();
       return Status(Code::aborted, sent.message(), sent.hint());

@@ -43,11 +43,12 @@ Coordinator::Coordinator(asio::io_context& context, ControlOptions options, Engi
 
 void Coordinator::leave(Session* session) {
   sessions_.erase(session);
-  std::vector<std::shared_ptr<OpenPush>> lost;
+  const Connection* connection = session->connection().get();
+  std::vector<std::shared_ptr<OpenStep>> lost;
   for (const auto& [name, gate] : gates_)
-    if (gate.push && gate.push->connection == session->connection()) lost.push_back(gate.push);
-  for (const auto& push : lost) abort(push, {Code::aborted, "the client's connection was lost"});
-  groups_.leave_all(session->connection().get());
+    if (gate.step && !gate.step->by_seats() && gate.step->block_of(connection)) lost.push_back(gate.step);
+  for (const auto& step : lost) groups_.abort(*step, {Code::aborted, "the client's connection was lost"});
+  groups_.leave_all(connection);
 }
 
 class Coordinator::OrderReservation {
@@ -185,28 +186,19 @@ void Coordinator::erase_gate_if_unused(const std::string& scene) {
   const auto found = gates_.find(scene);
   if (found == gates_.end()) return;
   const SceneGate& gate = found->second;
-  if (!gate.push && gate.changes_unfinished == 0 && gate.queue.empty() && gate.watching.empty()) gates_.erase(found);
+  const bool idle = !gate.step && !gate.counting && gate.changes_unfinished == 0;
+  if (idle && gate.queue.empty() && gate.watching.empty()) gates_.erase(found);
 }
 
-std::shared_ptr<OpenPush> Coordinator::open_push(PushTerms terms, std::shared_ptr<Connection> connection,
-                                                 std::string client, double deadline_seconds) {
-  auto push = std::make_shared<OpenPush>(context_, std::move(terms));
-  push->connection = std::move(connection);
-  push->client = std::move(client);
-  arm(push, push->started + duration_of(deadline_seconds));
-  gate(push->slices.terms().id.scene).push = push;
-  return push;
-}
-
-void Coordinator::charge(const std::shared_ptr<OpenPush>& push, std::uint64_t bytes) {
+void Coordinator::charge(Block& block, std::uint64_t bytes) {
   const std::uint64_t room = options_.bulk_bytes_max - std::min(charged_bytes_, options_.bulk_bytes_max);
   charged_bytes_ += bytes;
-  push->charged_bytes += bytes;
+  block.charged_bytes += bytes;
   if (bytes <= room) return;
-  abort(push, {Code::busy,
-               fmt::format("all pushes together have brought more than the {} bytes that the service takes",
-                           options_.bulk_bytes_max),
-               "try again when the others are done"});
+  groups_.abort(block, {Code::busy,
+                        fmt::format("all pushes together have brought more than the {} bytes that the service takes",
+                                    options_.bulk_bytes_max),
+                        "try again when the others are done"});
 }
 
 Result<std::shared_ptr<void>> Coordinator::hold_answer(std::uint64_t bytes) {
@@ -230,123 +222,71 @@ void Coordinator::cancel(std::atomic<bool>& cancelled) {
   engine_.drop_cancelled();
 }
 
-void Coordinator::arm(const std::shared_ptr<OpenPush>& push, TimePoint end) {
-  push->end = end;
-  push->next_check = now() + duration_of(options_.frame_seconds);
-  watch_arrival(push);
-}
-
-void Coordinator::watch_arrival(const std::shared_ptr<OpenPush>& push) {
-  push->deadline.expires_at(std::min(push->end, push->next_check));
-  push->deadline.async_wait([self = shared_from_this(), weak = std::weak_ptr(push)](error_code error) {
+void Coordinator::watch_arrival(const std::shared_ptr<Block>& block) {
+  block->progress_check.expires_after(duration_of(options_.frame_seconds));
+  block->progress_check.async_wait([self = shared_from_this(), weak = std::weak_ptr(block)](error_code error) {
     const auto open = weak.lock();
-    // A handler whose timer has expired already still runs without an error when the timer is cancelled: hence
-    // `closed`.
-    if (error || !open || open->closed) return;
-    if (now() >= open->end)
-      return self->abort_at_deadline(
-          open, {Code::deadline_exceeded, fmt::format("the push wasn't whole at its deadline: {}", open->progress()),
-                 "the previous step stands; push again"});
-    if (now() >= open->next_check) {
-      const std::uint64_t seen = std::exchange(open->progress_seen, open->bytes_arrived());
-      if (!open->ready() && open->progress_seen - seen < kProgressBytes)
-        return self->abort(open,
-                           {Code::deadline_exceeded,
-                            fmt::format("the push stopped arriving: {} bytes in {} s ({})", open->progress_seen - seen,
-                                        self->options_.frame_seconds, open->progress()),
-                            "the previous step stands; push again"});
-      open->next_check = now() + duration_of(self->options_.frame_seconds);
-    }
-    self->watch_arrival(open);
+    // A handler whose timer has expired already still runs without an error when the timer is cancelled: hence the
+    // other two.
+    if (error || !open || open->given_up || !open->step->open()) return;
+    const std::uint64_t seen = std::exchange(open->progress_seen, open->bytes_arrived());
+    if (open->ready()) return;
+    if (open->progress_seen - seen >= kProgressBytes) return self->watch_arrival(open);
+    self->groups_.abort(*open, {Code::deadline_exceeded,
+                                fmt::format("the push stopped arriving: {} bytes in {} s ({})",
+                                            open->progress_seen - seen, self->options_.frame_seconds, open->progress()),
+                                "the previous step stands; push again"});
   });
 }
 
-void Coordinator::abort_at_deadline(const std::shared_ptr<OpenPush>& push, const Status& why) {
-  if (push->round) return groups_.abort(push->round, nullptr, groups_.late(*push->round));
-  abort(push, why);
+bool Block::ready() const { return !rows_missing && std::find(whole.begin(), whole.end(), false) == whole.end(); }
+
+std::uint64_t Block::bytes_arrived() const {
+  return std::accumulate(arrived_bytes.begin(), arrived_bytes.end(), connection->bytes_received());
 }
 
-std::shared_ptr<OpenPush> Coordinator::find_push(const PushId& id, const Connection* connection) {
-  const auto found = gates_.find(id.scene);
-  if (found == gates_.end() || !found->second.push) return nullptr;
-  auto push = found->second.push;
-  if (push->round) push = groups_.contribution_of(*push->round, connection);
-  const bool fits = push && push->number == 0 && push->slices.terms().id == id && push->connection.get() == connection;
-  return fits ? push : nullptr;
-}
-
-void Coordinator::close_push(std::shared_ptr<OpenPush> push) {
-  push->closed = true;
-  push->deadline.cancel();
-  SceneGate& of = gate(push->slices.terms().id.scene);
-  RCB_CHECK(of.push == push, "the push isn't the open one");
-  of.push.reset();
-  of.wake();
-}
-
-void Coordinator::abort(std::shared_ptr<OpenPush> push, const Status& why) {
-  if (push->closed) return;
-  if (push->round) return groups_.abort(push->round, push->seat < 0 ? nullptr : push.get(), why);
-  push->given_up = true;
-  const PushId id = push->slices.terms().id;
-  spdlog::info("push of step {} of scene '{}' by {} given up: {}", id.step, id.scene, push->client, why.message());
-  close_push(push);
-  give_back(*push);
-  erase_gate_if_unused(id.scene);
-  if (push->number != 0) data_->drop(id);
-  push->connection->send(FrameType::failure, push->request, wire::failure_json(why));
-}
-
-bool OpenPush::ready() const { return slices.whole() && std::find(whole.begin(), whole.end(), false) == whole.end(); }
-
-std::uint64_t OpenPush::bytes_arrived() const {
-  const std::uint64_t here = connection ? connection->bytes_received() : 0;
-  return std::accumulate(arrived_bytes.begin(), arrived_bytes.end(), here);
-}
-
-std::string OpenPush::progress() const {
-  if (round) return round->progress();
-  if (number == 0) return fmt::format("{} of {} bytes have come", charged_bytes, slices.terms().bytes());
+std::string Block::progress() const {
+  if (number == 0) return fmt::format("{} of {} bytes have come", charged_bytes, terms.bytes());
   return fmt::format("{} of {} ranks have their slices", std::count(whole.begin(), whole.end(), true), whole.size());
 }
 
-void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
-  const PushTerms& terms = push->slices.terms();
-  push->number = ++pushes_numbered_;
+void Coordinator::receive_directly(const std::shared_ptr<Block>& block) {
+  const PushTerms& terms = block->terms;
+  block->number = ++pushes_numbered_;
   const auto ranks = static_cast<std::uint64_t>(options_.ranks);
-  push->whole.assign(ranks, false);
-  push->arrived_bytes.assign(ranks, 0);
+  block->whole.assign(ranks, false);
+  block->arrived_bytes.assign(ranks, 0);
   std::vector<std::optional<std::uint64_t>> expected(ranks);
   for (std::size_t r = 0; r < ranks; ++r) {
     if (terms.direct(static_cast<int>(r)) && terms.counts[r] > 0) expected[r] = terms.counts[r];
-    push->whole[r] = !expected[r];
+    block->whole[r] = !expected[r];
   }
-  if (push->ready()) return;
-  receiving_[push->number] = push;
-  data_->open({push->number, terms}, expected);
+  if (block->ready()) return;
+  receiving_[block->number] = block;
+  data_->open({block->number, terms}, expected);
 }
 
-void Coordinator::give_back(OpenPush& push) {
-  charged_bytes_ -= std::exchange(push.charged_bytes, 0);
-  receiving_.erase(push.number);
+void Coordinator::give_up(Block& block) {
+  block.given_up = true;
+  block.progress_check.cancel();
+  charged_bytes_ -= std::exchange(block.charged_bytes, 0);
+  if (block.number != 0) refuse_directly(block.terms.id);
+  receiving_.erase(block.number);
 }
 
 void Coordinator::slice_reported(int rank, const SliceReport& report) {
   const auto found = receiving_.find(report.number);
   if (found == receiving_.end()) return;
-  const std::shared_ptr<OpenPush> push = found->second;
-  if (!report.status.ok()) return abort(push, report.status);
-  std::uint64_t& known = push->arrived_bytes[static_cast<std::size_t>(rank)];
+  const std::shared_ptr<Block> block = found->second;
+  if (!report.status.ok()) return groups_.abort(*block, report.status);
+  std::uint64_t& known = block->arrived_bytes[static_cast<std::size_t>(rank)];
   const std::uint64_t before = std::exchange(known, std::max(known, report.bytes));
-  charge(push, known - before);
-  if (!report.whole || push->given_up) return;
-  push->whole[static_cast<std::size_t>(rank)] = true;
-  if (!push->ready()) return;
+  charge(*block, known - before);
+  if (!report.whole || block->given_up) return;
+  block->whole[static_cast<std::size_t>(rank)] = true;
+  if (!block->ready()) return;
   receiving_.erase(report.number);
-  if (push->round)
-    groups_.contribution_whole(push);
-  else
-    push->on_complete();
+  groups_.block_whole(*block);
 }
 
 void Coordinator::refuse_directly(const PushId& id) {
@@ -375,12 +315,17 @@ void Coordinator::shut_down(const std::string& why, std::function<void()> told) 
   if (std::exchange(shutting_down_, true)) return;
   spdlog::info("shutting down: {}", why);
   if (options_.told_to_end) (void)FileThread::of(context_).run(options_.told_to_end, [] {});
-  std::vector<std::shared_ptr<OpenPush>> open;
+  std::vector<std::string> scenes;
   for (auto& [name, gate] : gates_) {
-    if (gate.push) open.push_back(gate.push);
+    scenes.push_back(name);
     gate.wake();
   }
-  for (const auto& push : open) abort(push, {Code::aborted, "the service is shutting down"});
+  const Status ends(Code::aborted, "the service is shutting down");
+  for (const std::string& scene : scenes) {
+    if (const auto step = gate(scene).step) groups_.abort(*step, ends);
+    groups_.end_count(scene, ends);
+    erase_gate_if_unused(scene);
+  }
   // Orders that may be cancelled end early, unless they have begun to change a scene.
   for (const OrderReservation* one : unfinished_)
     if (one->order().cancelled) one->order().cancelled->store(true);

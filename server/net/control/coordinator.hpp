@@ -5,8 +5,8 @@
 // 1. At most `orders_max` orders are unfinished, which is more than there can be sessions, and large requests have at
 //    most wire::kLargeRequestBytesMax bytes together. A command beyond that is refused (busy) before it is ordered,
 //    never after.
-// 2. A scene has at most one open push. Commands that change the scene wait for the end of that push; later pushes and
-//    commands queue behind them, first come, first served (SceneGate::queue).
+// 2. A scene has at most one open step. Commands that change the scene wait for its end; later pushes and commands
+//    queue behind them, first come, first served (SceneGate::queue).
 // 3. The ledger has taken in what an order has done before its answer is sent.
 // 4. The arrays of open and unfinished pushes have about `bulk_bytes_max` bytes at most. Only bytes that have arrived
 //    count: a push that is merely announced takes nothing from others. An open push must go on arriving (kProgressBytes
@@ -47,38 +47,6 @@ class Session;
 // An open push that brings less than this in `frame_seconds` is given up.
 inline constexpr std::uint64_t kProgressBytes = std::uint64_t{64} << 10U;
 
-// A push whose slices are being received.
-struct OpenPush {
-  OpenPush(asio::io_context& context, PushTerms terms) : slices(std::move(terms)), deadline(context) {}
-  PushSlices slices;
-  std::shared_ptr<Connection> connection;  // of the client that pushes
-  std::string client;
-  std::uint64_t request = 0;  // request number of its push.begin
-  wire::Json begin;
-  TimePoint started = now();
-  TimePoint end;
-  Timer deadline;
-  bool given_up = false;
-  bool closed = false;              // given up or ordered: the scene's gate is free again
-  std::uint64_t charged_bytes = 0;  // taken from the budget for the bytes that have arrived
-  std::uint64_t progress_seen = 0;  // bytes at the last check
-  TimePoint next_check;             // time of the next check for progress
-  // For the direct path only:
-  std::uint64_t number = 0;                  // identifies the push; 0: it isn't on the direct path
-  std::vector<bool> whole;                   // by rank: its slice is complete
-  std::vector<std::uint64_t> arrived_bytes;  // by rank, as far as it has reported
-  std::function<void()> on_complete;         // called when all ranks have their slices
-  std::shared_ptr<void> held;                // memory of a large push.begin (Coordinator::hold_request)
-  // For a parallel solver only: the seats' step. `seat` says whose contribution this is; -1: this push stands for
-  // the whole step in the scene's gate.
-  std::shared_ptr<SeatPush> round;
-  int seat = -1;
-
-  bool ready() const;  // everything has arrived
-  std::uint64_t bytes_arrived() const;
-  std::string progress() const;
-};
-
 // Limits the memory of one kind of data that is on its way.
 class ByteBudget {
  public:
@@ -97,10 +65,11 @@ class ByteBudget {
 };
 
 struct SceneGate {
-  std::shared_ptr<OpenPush> push;
-  int changes_unfinished = 0;   // ordered, unfinished commands that change the scene
-  std::deque<Timer*> queue;     // the requests that wait for their turn
-  std::deque<Timer*> watching;  // requests that wait for what others do, and keep nobody waiting
+  std::shared_ptr<OpenStep> step;       // that is being pushed; null: none
+  std::shared_ptr<SeatCount> counting;  // a step of which some seats' counts have come
+  int changes_unfinished = 0;           // ordered, unfinished commands that change the scene
+  std::deque<Timer*> queue;             // the requests that wait for their turn
+  std::deque<Timer*> watching;          // requests that wait for what others do, and keep nobody waiting
   void wake() {
     for (Timer* timer : queue) timer->cancel();
     for (Timer* timer : watching) timer->cancel();
@@ -119,7 +88,7 @@ struct OrderOptions {
   double received_seconds = 0;
   double deadline_seconds = 60;
   bool restores = false;                         // at the start, when nobody else orders: any number may be unfinished
-  std::vector<std::uint64_t> sessions;           // of a push by seats: the key of each one's
+  std::vector<std::uint64_t> sessions;           // of a push: the key of each seat's
   std::string changes;                           // name of the scene that the order changes; empty: none
   std::uint64_t charged_bytes = 0;               // released when the order is answered
   std::shared_ptr<std::atomic<bool>> cancelled;  // set to end the order early; null: it can't be
@@ -184,36 +153,25 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   void erase_gate_if_unused(const std::string& scene);
   void wake_queue(const std::string& scene);
 
-  // Starts the push's deadline. The scene's gate must be free.
-  std::shared_ptr<OpenPush> open_push(PushTerms terms, std::shared_ptr<Connection> connection, std::string client,
-                                      double deadline_seconds);
-  // Sets the push's deadline, replacing an earlier one. The push is aborted at `end`, or before that if it stops
-  // arriving.
-  void arm(const std::shared_ptr<OpenPush>& push, TimePoint end);
-  // Counts `bytes` more of the push as arrived. Aborts the push if the budget of all pushes is exceeded.
-  void charge(const std::shared_ptr<OpenPush>& push, std::uint64_t bytes);
-  // Of a push that is given up.
-  void give_back(OpenPush& push);
+  // The block's step is aborted if the block stops arriving.
+  void watch_arrival(const std::shared_ptr<Block>& block);
+  // Counts `bytes` more of the block as arrived. Aborts its step if the budget of all pushes is exceeded.
+  void charge(Block& block, std::uint64_t bytes);
+  // Nothing of it is taken any more.
+  void give_up(Block& block);
   SeatGroups& groups() { return groups_; }
-  // The open push or contribution with this id, if this connection opened it; else null.
-  std::shared_ptr<OpenPush> find_push(const PushId& id, const Connection* connection);
-  // Tells the ranks with rows of a push or contribution on the direct path to receive them. When all have theirs,
-  // on_complete() is called, or for a contribution SeatGroups::contribution_whole().
-  void receive_directly(const std::shared_ptr<OpenPush>& push);
+  // Tells the ranks that get rows of a block by their sockets to receive them; SeatGroups::block_whole() when all have
+  // theirs.
+  void receive_directly(const std::shared_ptr<Block>& block);
   void slice_reported(int rank, const SliceReport& report);
   // Tells the ranks to drop the slices of a push that will not be opened.
   void refuse_directly(const PushId& id);
   void serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses);
-  // The addresses, by rank, of the data listeners for clients of this endpoint; empty: there is no direct path.
+  // The addresses, by rank, of the data listeners for clients of this endpoint; empty: there are none.
   const std::vector<std::string>& data_addresses(const std::string& endpoint) const;
   void serve_this_machine(std::vector<LocalAddress> addresses) { local_addresses_ = std::move(addresses); }
   // By rank: its data listener for clients on its own machine.
   const std::vector<LocalAddress>& local_addresses() const { return local_addresses_; }
-
-  // Ends the push and tells its client why. Nothing was ordered yet, so the scene is unchanged.
-  void abort(std::shared_ptr<OpenPush> push, const Status& why);  // by value, since the gate's pointer is reset
-  // Ends the receiving and frees the gate. The bytes charged stay charged; the caller passes them to the order.
-  void close_push(std::shared_ptr<OpenPush> push);
 
   // Sessions with the number `except` are left out.
   Holders holders(const std::string& scene, const std::string& except = {}) const;
@@ -238,9 +196,6 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   void take_change(Answer& answer);
   void complete(Answer answer, const std::shared_ptr<OrderReservation>& unfinished,
                 const std::shared_ptr<Pending>& pending);
-  void watch_arrival(const std::shared_ptr<OpenPush>& push);
-  // Aborts a push at its deadline; a contribution takes the whole step of the seats with it.
-  void abort_at_deadline(const std::shared_ptr<OpenPush>& push, const Status& why);
   void say_goodbye();
 
   asio::io_context& context_;
@@ -253,7 +208,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   std::map<std::string, std::vector<std::string>> data_addresses_;  // by endpoint
   std::vector<LocalAddress> local_addresses_;
   std::uint64_t pushes_numbered_ = 0;
-  std::unordered_map<std::uint64_t, std::shared_ptr<OpenPush>> receiving_;  // by number: ranks wait for their rows
+  std::unordered_map<std::uint64_t, std::shared_ptr<Block>> receiving_;  // by number: ranks wait for their rows
   scene::Ledgers scenes_;
   scene::Restored restored_;
   std::map<std::string, TimePoint> positions_wanted_;  // when a question last had a scene's positions sent

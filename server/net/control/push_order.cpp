@@ -9,18 +9,14 @@ using wire::Json;
 
 namespace {
 
-Json block_json(const OpenPush& push) {
-  const PushTerms& terms = push.slices.terms();
-  Json block{{"seat", std::max(push.seat, 0)},
-             {"n", terms.n},
-             {"path", terms.from_memory() ? "shared"
-                      : terms.to_ranks()  ? "direct"
-                                          : "gateway"},
-             {"dtype", terms.is_float32 ? "<f4" : "<f8"}};
+Json block_json(const Block& push) {
+  const PushTerms& terms = push.terms;
+  Json block{
+      {"seat", push.seat}, {"n", terms.n}, {"way", name_of(terms.way)}, {"dtype", terms.is_float32 ? "<f4" : "<f8"}};
   if (!terms.counts.empty()) block["counts"] = terms.counts;
   if (push.number != 0) block["number"] = push.number;
   if (terms.from_memory())
-    block.update({{"session", terms.id.session}, {"memory", push.begin.at("memory")}, {"sockets", terms.by_socket}});
+    block.update({{"session", terms.id.session}, {"memory", push.memory}, {"sockets", terms.by_socket}});
   return block;
 }
 
@@ -81,30 +77,27 @@ class Together {
 
 }  // namespace
 
-PushOrder order_of(std::span<const std::shared_ptr<OpenPush>> pushes, std::size_t seats, const scene::Ledger& ledger) {
+PushOrder order_of(const OpenStep& step, const scene::Ledger& ledger) {
   PushOrder order;
   OrderOptions& options = order.options;
   Together all(ledger.now());
   Json blocks = Json::array();
-  for (const auto& push : pushes) {
-    const PushTerms& terms = push->slices.terms();
+  for (const auto& push : step.shares) {
+    const PushTerms& terms = push->terms;
     all.add(terms);
-    if (seats > 0) options.sessions.push_back(scene::session_key(terms.id.session));
+    options.sessions.push_back(scene::session_key(terms.id.session));
     options.charged_bytes += std::exchange(push->charged_bytes, 0);
     if (terms.n > 0) blocks.push_back(block_json(*push));
-    if (auto slice = push->slices.take()) {
-      slice->seat = std::max(push->seat, 0);
-      options.slices.push_back(std::move(*slice));
-    }
+    if (!push->slice) continue;
+    push->slice->seat = static_cast<int>(push->seat);
+    options.slices.push_back(std::move(*push->slice));
   }
-  const PushId& id = pushes.front()->slices.terms().id;
-  options.changes = id.scene;
+  options.changes = step.scene;
   order.request = all.json();
   order.request.update({{"command", "push"},
-                        {"scene", id.scene},
-                        {"session", seats > 0 ? kSeatsSession : id.session},
-                        {"step", id.step},
-                        {"seats", seats},
+                        {"scene", step.scene},
+                        {"step", step.number},
+                        {"seats", step.shares.size()},
                         {"blocks", std::move(blocks)}});
   if (ledger.now().others) order.request["counted_ids"] = *ledger.now().id_sum;
   if (Json terms = to_json(ledger.terms(all.terms().step_seconds)); !terms.empty())

@@ -15,121 +15,76 @@ namespace {
 
 constexpr const char* kRepeat = "the previous step stands; count or push again";
 
-// To all that have counted.
-void tell_counting(const SeatCount& counting, FrameType type, const std::string& json) {
-  for (const auto& begin : counting.waiting)
-    if (begin) begin->connection->send_text(type, begin->request, json);
-}
-
 }  // namespace
 
-Status SeatGroups::count(CountBegin begin) {
-  Group* group = find(begin.scene);
-  const auto seat = group == nullptr ? std::nullopt : seat_of(*group, begin.connection.get());
-  if (!seat) return {Code::aborted, "another generation of this seat has opened the scene", "open it again"};
-  scene::Ledger* ledger = coordinator_.scenes().find(begin.scene);
-  if (ledger == nullptr) return coordinator_.unknown_scene(begin.scene);
-  if (group->counting && !begin.fault.ok() && begin.step == group->counting->tally.step()) {
-    end_count(*group, {begin.fault.code(), name(begin.scene, *seat) + ": " + begin.fault.message(), kRepeat});
-    return begin.fault;
+Status SeatGroups::count(const PushId& id, Asker asker, Result<scene::CountRecord> counted) {
+  const auto role = role_of(id, asker.connection.get());
+  if (!role.ok()) return role.status();
+  scene::Ledger& ledger = *coordinator_.scenes().find(id.scene);
+  SceneGate& gate = coordinator_.gate(id.scene);
+  if (const Status& fault = counted.status(); !fault.ok()) {
+    if (gate.counting && id.step == gate.counting->number)
+      end_count(id.scene, {fault.code(), name(id.scene, role->seat) + ": " + fault.message(), kRepeat});
+    return fault;
   }
-  if (!begin.fault.ok()) return begin.fault;
-  if (const Status fits = ledger->check_seat(*begin.record); !fits.ok()) {
-    // A seat that repeats a step of which the others have the answer.
-    if (fits.code() != Code::stale_step || !ledger->was_in_last(begin.record->session, begin.step)) return fits;
-    return send_to(begin, api::repeated_to_seat(*ledger));
-  }
-  const auto open = coordinator_.gate(begin.scene).push;
-  if (open && open->round) return send_to(begin, R"({"send":"other seats push this step"})");
-  if (group->counting && group->counting->tally.step() != begin.step)
+  const auto tell = [&asker](const std::string& json) {
+    asker.connection->send_text(FrameType::reply, asker.request, json);
+    return Status();
+  };
+  if (const Status fits = ledger.check_seat(*counted); !fits.ok())
+    return ledger.was_in_last(id.session, id.step) ? tell(api::repeated(ledger)) : fits;
+  if (gate.step) return tell(R"({"send":"the step is being pushed"})");
+  if (gate.counting && gate.counting->number != id.step)
     return {Code::invalid_argument,
-            fmt::format("seat {} counts step {}, the others count step {}", *seat, begin.step,
-                        group->counting->tally.step()),
+            fmt::format("seat {} counts step {}, the others count step {}", role->seat, id.step, gate.counting->number),
             "all seats count the same step"};
-  if (!group->counting) open_count(begin.scene, begin.step, *group);
-  SeatCount& counting = *group->counting;
-  begin.session = scene::session_key(begin.record->session);
-  counting.tally.put(*seat, std::move(*begin.record));
-  begin.record.reset();
-  const TimePoint end = begin.end;
-  const auto older = std::exchange(counting.waiting[*seat], std::move(begin));
-  const TimePoint before = counting.end;
-  if (older) {
-    older->connection->send(FrameType::failure, older->request,
-                            wire::failure_json({Code::aborted, "a newer count by the same seat replaced it"}));
-    counting.end = TimePoint::max();  // that of a count that was replaced counts no more
-    for (const auto& one : counting.waiting)
-      if (one) counting.end = std::min(counting.end, one->end);
+  const bool fresh = !gate.counting;
+  if (fresh) gate.counting = std::make_shared<SeatCount>(coordinator_.context(), id, role->seats);
+  const auto counting = gate.counting;
+  counting->tally.put(role->seat, std::move(*counted));
+  counting->put(role->seat, std::make_shared<Asker>(std::move(asker)));
+  if (!counting->tally.whole()) {
+    if (fresh) wait_for_counts(counting);
+    return {};
   }
-  counting.end = std::min(counting.end, end);
-  if (counting.end != before) counting.timer.cancel();  // so that the deadline is heeded
-  if (counting.tally.whole()) decide(*group, *ledger);
+  auto all = counting->tally.sum(ledger.now().options.parts);
+  const scene::CountVerdict verdict = all.ok() ? ledger.count(*all) : scene::CountVerdict{all.status()};
+  if (const auto* refused = std::get_if<Status>(&verdict.is))
+    end_count(id.scene, *refused);
+  else
+    answer_count(id.scene, FrameType::reply, api::verdict_text(ledger, verdict));
   return {};
 }
 
-Status SeatGroups::send_to(const CountBegin& begin, const std::string& json) {
-  begin.connection->send_text(FrameType::reply, begin.request, json);
-  return {};
-}
-
-void SeatGroups::decide(Group& group, scene::Ledger& ledger) {
-  auto all = group.counting->tally.sum(ledger.now().options.parts);
-  if (!all.ok()) return end_count(group, all.status());
-  all->session = kSeatsSession;
-  for (const auto& begin : group.counting->waiting) all->sessions.push_back(begin->session);
-  const scene::CountVerdict verdict = ledger.count(*all);
-  if (const auto* refused = std::get_if<Status>(&verdict.is)) return end_count(group, *refused);
-  answer_count(group, api::verdict_text(ledger, verdict));
-}
-
-void SeatGroups::answer_count(Group& group, const std::string& json) { close_count(group, FrameType::reply, json); }
-
-void SeatGroups::end_count(Group& group, const Status& why) {
-  close_count(group, FrameType::failure, wire::dump_json(wire::failure_json(why)));
-}
-
-void SeatGroups::close_count(Group& group, FrameType type, const std::string& json) {
-  const auto counting = std::exchange(group.counting, nullptr);
-  if (counting == nullptr) return;
-  counting->over = true;
-  counting->timer.cancel();
-  tell_counting(*counting, type, json);
-}
-
-void SeatGroups::open_count(const std::string& scene, std::int64_t step, Group& group) {
-  group.counting = std::make_shared<SeatCount>(coordinator_.context(), step, group.seats.size());
-  asio::co_spawn(coordinator_.context(), watch_count(coordinator_.shared_from_this(), scene, group.counting),
+void SeatGroups::wait_for_counts(const std::shared_ptr<SeatCount>& counting) {
+  const auto missing = [self = coordinator_.shared_from_this(), counting = counting.get()] {
+    std::vector<std::size_t> seats;
+    for (std::size_t seat = 0; seat < counting->shares.size(); ++seat)
+      if (!counting->shares[seat]) seats.push_back(seat);
+    return self->groups().names_of(counting->scene, seats);
+  };
+  const auto late = [self = coordinator_.shared_from_this(), counting = counting.get(), missing] {
+    self->groups().end_count(counting->scene,
+                             {Code::deadline_exceeded,
+                              fmt::format("step {} of scene '{}' was given up at its deadline: {} had not counted it",
+                                          counting->number, counting->scene, missing()),
+                              kRepeat});
+    self->erase_gate_if_unused(counting->scene);
+  };
+  asio::co_spawn(coordinator_.context(), watch(coordinator_.options().notice_seconds, counting, missing, late),
                  asio::detached);
 }
 
-std::string SeatGroups::missing(const std::string& scene, const SeatCount& counting) const {
-  std::vector<std::size_t> missing;
-  for (std::size_t seat = 0; seat < counting.waiting.size(); ++seat)
-    if (!counting.tally.has(seat)) missing.push_back(seat);
-  return names_of(scene, missing);
+void SeatGroups::end_count(const std::string& scene, const Status& why) {
+  answer_count(scene, FrameType::failure, wire::dump_json(wire::failure_json(why)));
 }
 
-awaitable<void> SeatGroups::watch_count(std::shared_ptr<Coordinator> self, std::string scene,
-                                        std::shared_ptr<SeatCount> counting) {
-  TimePoint notice_at = now() + duration_of(self->options().notice_seconds);
-  while (!counting->over) {
-    counting->timer.expires_at(std::min(notice_at, counting->end));
-    co_await counting->timer.async_wait(kAwait);
-    if (counting->over) break;
-    if (now() >= counting->end) {
-      if (Group* group = find(scene); group != nullptr && group->counting == counting)
-        end_count(*group, {Code::deadline_exceeded,
-                           fmt::format("step {} of scene '{}' was given up at its deadline: {} had not counted it",
-                                       counting->tally.step(), scene, missing(scene, *counting)),
-                           kRepeat});
-      break;
-    }
-    if (now() < notice_at) continue;
-    const std::string notice = fmt::format("step {} of scene '{}' has waited {:.0f} s for {}", counting->tally.step(),
-                                           scene, seconds_since(counting->started), missing(scene, *counting));
-    tell_counting(*counting, FrameType::notice, wire::dump_json({{"notice", notice}}));
-    notice_at = now() + duration_of(self->options().notice_seconds);
-  }
+void SeatGroups::answer_count(const std::string& scene, FrameType type, const std::string& json) {
+  const auto counting = std::exchange(coordinator_.gate(scene).counting, nullptr);
+  if (counting == nullptr) return;
+  counting->over = true;
+  counting->timer.cancel();
+  counting->tell(type, json);
 }
 
 }  // namespace rcb::net

@@ -1,11 +1,10 @@
-// SeatGroups, part 2: a step of all seats, from the first push.begin to the last answer.
+// SeatGroups, part 2: a step that is pushed, from its first block to the last answer.
 #include <algorithm>
 #include <utility>
 
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
-#include "common/wire/limits.hpp"
 #include "server/api/ledger_answers.hpp"
 #include "server/net/control/push_order.hpp"
 #include "server/net/control/seats.hpp"
@@ -14,108 +13,130 @@ namespace rcb::net {
 
 using wire::FrameType;
 
-namespace {
-
-// To all that have begun.
-void tell_pushing(const std::vector<std::shared_ptr<OpenPush>>& contributions, FrameType type, const wire::Json& json) {
-  const std::string text = wire::dump_json(json);
-  for (const auto& one : contributions)
-    if (one) one->connection->send_text(type, one->request, text);
+std::shared_ptr<Block> OpenStep::block_of(const Connection* connection) const {
+  const auto its = [connection](const auto& block) { return block && block->connection.get() == connection; };
+  const auto found = std::ranges::find_if(shares, its);
+  return found == shares.end() ? nullptr : *found;
 }
 
-}  // namespace
+std::string OpenStep::who() const {
+  return by_seats() ? fmt::format("{} seats", shares.size()) : fmt::format("'{}'", shares.front()->client);
+}
 
-Status SeatGroups::begin(ContributionBegin begin) {
-  const std::string& scene = begin.id.scene;
-  Group* group = find(scene);
-  // While this push.begin waited for its turn, another generation may have taken the seat, or the scene was dropped.
-  const auto taken = group == nullptr ? std::nullopt : seat_of(*group, begin.connection.get());
-  if (!taken)
-    return {Code::aborted, fmt::format("another generation of this seat has opened scene '{}'", scene),
-            "open the scene again with a higher generation"};
-  const std::size_t seat = *taken;
-  const scene::Ledger* ledger = coordinator_.scenes().find(scene);
-  if (ledger == nullptr) return coordinator_.unknown_scene(scene);
-  if (ledger->was_in_last(begin.id.session, begin.id.step)) {
-    if (may_bring_slices(begin.json)) coordinator_.refuse_directly(begin.id);
-    begin.connection->send_text(FrameType::reply, begin.request, api::repeated_to_seat(*ledger));
-    return {};
+std::string OpenStep::progress() const {
+  if (!by_seats()) return shares.front()->progress();
+  const auto whole = std::ranges::count_if(shares, [](const auto& block) { return block && block->ready(); });
+  return fmt::format("{} of {} seats", whole, shares.size());
+}
+
+bool OpenStep::all_ready() {
+  while (ready < shares.size() && shares[ready] && shares[ready]->ready()) ++ready;
+  return ready == shares.size();
+}
+
+Result<Role> SeatGroups::role_of(const PushId& id, const Connection* connection) const {
+  Role role{id.session};
+  if (knows(id.scene, connection)) {
+    const Group& group = *find(id.scene);
+    const auto seat = seat_of(group, connection);
+    if (!seat)
+      return Status(Code::aborted, fmt::format("another generation of this seat has opened scene '{}'", id.scene),
+                    "open the scene again with a higher generation");
+    role = {kSeats, *seat, group.seats.size()};
+  } else if (Status free = check_free(id.scene); !free.ok()) {
+    return free;
+  }
+  const auto& open = coordinator_.gate(id.scene).step;
+  if (!open || open->by == role.by) return role;
+  return Status(Code::busy,
+                fmt::format("{} has had a push of scene '{}' open for {:.1f} s ({})", open->who(), id.scene,
+                            seconds_since(open->started), open->progress()),
+                "try again when it is done");
+}
+
+Result<std::shared_ptr<OpenStep>> SeatGroups::step_for(const PushId& id, const Role& role) {
+  auto step = coordinator_.gate(id.scene).step;
+  const auto older = step ? step->shares[role.seat] : nullptr;
+  if (older && older->terms.id.attempt >= id.attempt)
+    return Status(Code::aborted, fmt::format("attempt {} of step {} is open, which is not older than {}",
+                                             older->terms.id.attempt, step->number, id.attempt));
+  if (older && step->shares.size() == 1) {
+    abort(*step, {Code::aborted, "a newer attempt of the same session replaced it"});
+    step.reset();
+  }
+  if (step && step->number != id.step)
+    return Status(Code::invalid_argument,
+                  fmt::format("seat {} pushes step {}, the others push step {}", role.seat, id.step, step->number),
+                  "all seats push the same step");
+  if (step && older) coordinator_.give_up(*older);
+  if (step) return step;
+  step = std::make_shared<OpenStep>(coordinator_.context(), id, role);
+  coordinator_.gate(id.scene).step = step;
+  const auto self = coordinator_.shared_from_this();
+  const auto waits_for = [self, step = step.get()] {
+    return step->ordered ? self->engine_in_words() : self->groups().missing(*step);
+  };
+  const auto late = [self, step = step.get()] { self->groups().late(*step); };
+  asio::co_spawn(coordinator_.context(), watch(self->options().notice_seconds, step, waits_for, late), asio::detached);
+  return step;
+}
+
+Result<std::shared_ptr<Block>> SeatGroups::begin(const PushId& id, Asker asker, const wire::Json& push,
+                                                 std::uint64_t bulk_bytes) {
+  // While this push waited for its turn, much may have changed.
+  const auto role = role_of(id, asker.connection.get());
+  if (!role.ok()) return role.status();
+  const scene::Ledger* ledger = coordinator_.scenes().find(id.scene);
+  if (ledger == nullptr) return coordinator_.unknown_scene(id.scene);
+  if (ledger->was_in_last(id.session, id.step)) {
+    if (may_bring_slices(push)) coordinator_.refuse_directly(id);
+    asker.connection->send_text(FrameType::reply, asker.request, api::repeated(*ledger));
+    return std::shared_ptr<Block>();
   }
   const ControlOptions& options = coordinator_.options();
-  auto terms =
-      read_push_terms(begin.json, begin.id, ledger->now(), options.ranks, options.bulk_bytes_max, group->seats.size());
+  auto terms = read_push_terms(push, id, ledger->now(), options.ranks, options.bulk_bytes_max, role->seats);
   if (!terms.ok()) return terms.status();
-  const auto open = coordinator_.gate(scene).push;
-  std::shared_ptr<SeatPush> step = open ? open->round : nullptr;
-  if (step && step->step != begin.id.step)
-    return {Code::invalid_argument,
-            fmt::format("seat {} pushes step {}, the others push step {}", seat, begin.id.step, step->step),
-            "all seats push the same step"};
-  const auto older = step ? step->contributions[seat] : nullptr;
-  if (older) {
-    const PushId& id = older->slices.terms().id;
-    if (id.session != begin.id.session || id.attempt >= begin.id.attempt)
-      return {Code::busy, fmt::format("seat {} is pushing step {} already", seat, step->step), "finish it first"};
-    withdraw(*older);
+  auto block = std::make_shared<Block>(coordinator_.context(), std::move(asker), std::move(*terms));
+  block->seat = role->seat;
+  block->memory = push.value("memory", wire::Json());
+  block->rows_missing = block->terms.n > 0 && !block->terms.to_ranks();
+  if (block->rows_missing) {
+    auto slice = make_slice(push, bulk_bytes, block->terms, block->terms.n);
+    if (!slice.ok()) return slice.status();
+    block->slice = std::move(*slice);
   }
-  if (!step) step = open_step(scene, begin.id.step, *group);
-  answer_count(*group, wire::dump_json({{"send", fmt::format("{} pushes this step", name(scene, seat))}}));
-  auto contribution = std::make_shared<OpenPush>(coordinator_.context(), std::move(*terms));
-  contribution->connection = std::move(begin.connection);
-  contribution->client = std::move(begin.client);
-  contribution->request = begin.request;
-  contribution->begin = std::move(begin.json);
-  contribution->held = std::move(begin.held);
-  contribution->round = step;
-  contribution->seat = static_cast<int>(seat);
-  contribution->end = begin.end;
-  step->contributions[seat] = contribution;
-  if (!older) ++step->begun;
-  step->ready = std::min(step->ready, seat);
-  TimePoint end = std::min(step->end, begin.end);
-  if (older) {  // its end counts no more
-    end = TimePoint::max();
-    for (const auto& one : step->contributions)
-      if (one) end = std::min(end, one->end);
-  }
-  if (std::exchange(step->end, end) != end) coordinator_.arm(step->front.lock(), end);
-  if (contribution->slices.terms().direct()) coordinator_.receive_directly(contribution);
-  if (Status fits = check_together(*step); !fits.ok()) abort(step, nullptr, fits);
-  if (contribution->given_up) return {};
-  if (contribution->ready())
-    contribution_whole(contribution);
-  else
-    coordinator_.arm(contribution, begin.end);
-  return {};
+  const auto step = step_for(id, *role);
+  if (!step.ok()) return step.status();
+  if (coordinator_.gate(id.scene).counting)
+    answer_count(id.scene, FrameType::reply,
+                 wire::dump_json({{"send", fmt::format("{} pushes this step", name(id.scene, role->seat))}}));
+  block->step = *step;
+  (*step)->put(role->seat, block);
+  (*step)->ready = std::min((*step)->ready, role->seat);
+  coordinator_.watch_arrival(block);
+  if (block->terms.direct()) coordinator_.receive_directly(block);
+  if (Status fits = check_together(**step); !fits.ok()) abort(**step, fits);
+  if (!block->given_up && block->ready()) block_whole(*block);
+  return block;
 }
 
-void SeatGroups::withdraw(OpenPush& contribution) {
-  contribution.given_up = true;
-  coordinator_.give_back(contribution);
-  const PushTerms& terms = contribution.slices.terms();
-  if (terms.direct()) coordinator_.refuse_directly(terms.id);
-  contribution.connection->send(FrameType::failure, contribution.request,
-                                wire::failure_json({Code::aborted, "a newer attempt of the same session replaced it"}));
-}
-
-Status SeatGroups::check_together(const SeatPush& step) const {
-  if (step.begun < step.contributions.size()) return {};
+Status SeatGroups::check_together(const OpenStep& step) const {
+  if (step.begun < step.shares.size()) return {};
   std::uint64_t n = 0, inserted = 0, removed = 0, bytes = 0;
-  const OpenPush* with_rows = nullptr;
-  for (const auto& contribution : step.contributions) {
-    const PushTerms& terms = contribution->slices.terms();
+  const Block* with_rows = nullptr;
+  for (const auto& block : step.shares) {
+    const PushTerms& terms = block->terms;
     n += terms.n;
     inserted += terms.inserted;
     removed += terms.removed;
     bytes += terms.bytes();
     if (terms.n == 0) continue;
-    if (with_rows != nullptr && with_rows->slices.terms().weights != terms.weights)
-      return {
-          Code::invalid_argument,
-          fmt::format("{} and {} don't both push weights", name(step.scene, static_cast<std::size_t>(with_rows->seat)),
-                      name(step.scene, static_cast<std::size_t>(contribution->seat))),
-          "all seats push weights, or none does"};
-    with_rows = contribution.get();
+    if (with_rows != nullptr && with_rows->terms.weights != terms.weights)
+      return {Code::invalid_argument,
+              fmt::format("{} and {} don't both push weights", name(step.scene, with_rows->seat),
+                          name(step.scene, block->seat)),
+              "all seats push weights, or none does"};
+    with_rows = block.get();
   }
   if (const std::uint64_t most = coordinator_.options().bulk_bytes_max; bytes > most)
     return {Code::too_large, fmt::format("the seats push {} bytes together, at most {} are taken", bytes, most),
@@ -124,107 +145,89 @@ Status SeatGroups::check_together(const SeatPush& step) const {
   return scene.step ? scene::check_conserved(step.scene, scene.n, n, inserted, removed) : Status();
 }
 
-std::shared_ptr<SeatPush> SeatGroups::open_step(const std::string& scene, std::int64_t step, const Group& group) {
-  PushTerms none;
-  none.id.scene = scene;
-  none.id.step = step;
-  const auto front =
-      coordinator_.open_push(std::move(none), nullptr, "the seats of the scene", wire::kDeadlineSecondsMax);
-  auto round = std::make_shared<SeatPush>(coordinator_.context(), scene, step);
-  round->contributions.resize(group.seats.size());
-  round->front = front;
-  front->round = round;
-  asio::co_spawn(coordinator_.context(), watch(coordinator_.shared_from_this(), round), asio::detached);
-  return round;
+void SeatGroups::block_whole(const Block& block) {
+  if (block.step->all_ready()) order(block.step);
 }
 
-void SeatGroups::contribution_whole(const std::shared_ptr<OpenPush>& contribution) {
-  const auto step = contribution->round;
-  if (step->all_ready()) order(step);
+void SeatGroups::close(OpenStep& step) {
+  SceneGate& gate = coordinator_.gate(step.scene);
+  RCB_CHECK(gate.step.get() == &step, "the step isn't the open one");
+  for (const auto& block : step.shares)
+    if (block) block->progress_check.cancel();
+  gate.step.reset();
+  gate.wake();
 }
 
-void SeatGroups::order(const std::shared_ptr<SeatPush>& step) {
-  auto [request, options] =
-      order_of(step->contributions, step->contributions.size(), *coordinator_.scenes().find(step->scene));
-  options.received_seconds = seconds_since(step->started);
-  options.deadline_seconds = std::chrono::duration<double>(step->end - step->started).count();
-  request["deadline_seconds"] = options.deadline_seconds;
-  const std::shared_ptr<Coordinator> coordinator = coordinator_.shared_from_this();
-  options.then = [coordinator, step](Answer answer) { coordinator->groups().answered(step, std::move(answer)); };
-  coordinator_.close_push(step->front.lock());
+void SeatGroups::order(const std::shared_ptr<OpenStep>& step) {
   step->ordered = true;
+  close(*step);
+  auto [request, options] = order_of(*step, *coordinator_.scenes().find(step->scene));
+  options.received_seconds = seconds_since(step->started);
+  options.deadline_seconds = std::max(std::chrono::duration<double>(step->end - step->started).count(), 0.0);
+  request["deadline_seconds"] = options.deadline_seconds;
+  options.then = [coordinator = coordinator_.shared_from_this(), step](Answer answer) {
+    coordinator->groups().answered(*step, std::move(answer));
+  };
   const auto pending = coordinator_.order(std::move(request), std::move(options));
   coordinator_.erase_gate_if_unused(step->scene);
   if (pending.ok()) return;
-  for (const auto& contribution : step->contributions)
-    if (contribution->number != 0) coordinator_.refuse_directly(contribution->slices.terms().id);
-  answered(step, api::failed(pending.status()));
+  for (const auto& block : step->shares)
+    if (block->number != 0) coordinator_.refuse_directly(block->terms.id);
+  answered(*step, api::failed(pending.status()));
 }
 
-void SeatGroups::answered(const std::shared_ptr<SeatPush>& step, Answer answer) {
-  const auto contributions = std::exchange(step->contributions, {});
-  const bool told = std::exchange(step->over, true);
-  step->timer.cancel();
+void SeatGroups::answered(OpenStep& step, Answer answer) {
   if (!answer.status.ok())
-    spdlog::info("step {} of scene '{}' by {} seats: {}: {}", step->step, step->scene, contributions.size(),
+    spdlog::info("step {} of scene '{}' by {}: {}: {}", step.number, step.scene, step.who(),
                  code_name(answer.status.code()), answer.status.message());
-  if (told) return;
-  if (!answer.status.ok()) return tell_pushing(contributions, FrameType::failure, wire::failure_json(answer.status));
+  const bool told = std::exchange(step.over, true);
+  step.timer.cancel();
+  if (!told && !answer.status.ok()) step.tell(FrameType::failure, wire::dump_json(wire::failure_json(answer.status)));
+  const auto blocks = std::exchange(step.shares, {});  // which hold the step
+  if (told || !answer.status.ok()) return;
   const auto arrays = std::make_shared<const std::vector<wire::Array>>(std::move(answer.arrays));
   if (!arrays->empty()) answer.json["arrays"] = wire::describe(*arrays);
   const std::string with_cuts = wire::dump_json(answer.json);  // for who has said which it knows
   answer.json.erase("cuts");
   answer.json.erase("arrays");
   const std::string text = wire::dump_json(answer.json);
-  for (const auto& one : contributions)
-    if (one->slices.terms().cuts_known)
+  for (const auto& one : blocks)
+    if (one->terms.cuts_known)
       one->connection->send_text(FrameType::reply, one->request, with_cuts, arrays);
     else
       one->connection->send_text(FrameType::reply, one->request, text);
 }
 
-void SeatGroups::abort(const std::shared_ptr<SeatPush>& step, const OpenPush* contribution, const Status& why) {
-  if (step->ordered || step->over) return;
-  const auto front = step->front.lock();
-  const std::string who =
-      contribution != nullptr ? name(step->scene, static_cast<std::size_t>(contribution->seat)) + ": " : "";
-  const Status named(why.code(), who + why.message(), why.hint());
-  spdlog::info("step {} of scene '{}' by {} seats given up: {}", step->step, step->scene, step->contributions.size(),
-               named.message());
-  step->over = true;
-  step->timer.cancel();
-  front->given_up = true;
-  coordinator_.close_push(front);
-  const auto contributions = std::exchange(step->contributions, {});
-  for (const auto& one : contributions) {
-    if (!one) continue;
-    one->given_up = true;
-    if (one->number != 0) coordinator_.refuse_directly(one->slices.terms().id);
-    coordinator_.give_back(*one);
-  }
-  tell_pushing(contributions, FrameType::failure, wire::failure_json(named));
-  coordinator_.erase_gate_if_unused(step->scene);
+void SeatGroups::abort(OpenStep& step, const Status& why) {
+  if (!step.open()) return;
+  spdlog::info("step {} of scene '{}' by {} given up: {}", step.number, step.scene, step.who(), why.message());
+  step.over = true;
+  step.timer.cancel();
+  const auto keep = coordinator_.gate(step.scene).step;  // close() and its blocks let go of it
+  close(step);
+  step.tell(FrameType::failure, wire::dump_json(wire::failure_json(why)));
+  for (const auto& one : std::exchange(step.shares, {}))
+    if (one) coordinator_.give_up(*one);
+  coordinator_.erase_gate_if_unused(step.scene);
 }
 
-awaitable<void> SeatGroups::watch(std::shared_ptr<Coordinator> self, std::shared_ptr<SeatPush> step) {
-  const auto between = duration_of(self->options().notice_seconds);
-  while (!step->over) {
-    const TimePoint next = now() + between;
-    step->timer.expires_at(step->ordered ? std::min(next, step->end) : next);
-    co_await step->timer.async_wait(kAwait);
-    if (step->over) break;
-    if (step->ordered && now() >= step->end) {
-      tell_pushing(step->contributions, FrameType::failure,
-                   wire::failure_json({Code::deadline_exceeded,
-                                       fmt::format("step {} wasn't committed at its deadline; it goes on", step->step),
-                                       "push it again to hear what came of it"}));
-      step->over = true;
-      break;
-    }
-    const std::string notice = fmt::format("step {} of scene '{}' has waited {:.0f} s for {}", step->step, step->scene,
-                                           seconds_since(step->started), step->ordered ? "the engine" : missing(*step));
-    tell_pushing(step->contributions, FrameType::notice, {{"notice", notice}});
-  }
+void SeatGroups::abort(const Block& block, const Status& why) {
+  const OpenStep& step = *block.step;
+  const std::string who = step.by_seats() ? name(step.scene, block.seat) + ": " : "";
+  abort(*block.step, {why.code(), who + why.message(), why.hint()});
+}
+
+void SeatGroups::late(OpenStep& step) {
+  if (!step.ordered)
+    return abort(step, {Code::deadline_exceeded,
+                        fmt::format("step {} of scene '{}' was given up at its deadline: {} had not pushed it",
+                                    step.number, step.scene, missing(step)),
+                        "the previous step stands; push again"});
+  step.over = true;
+  const Status why(Code::deadline_exceeded,
+                   fmt::format("step {} wasn't committed at its deadline; it goes on", step.number),
+                   "push it again to hear what came of it");
+  step.tell(FrameType::failure, wire::dump_json(wire::failure_json(why)));
 }
 
 }  // namespace rcb::net

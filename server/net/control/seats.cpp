@@ -33,23 +33,6 @@ Result<std::optional<SeatClaim>> read_claim(const Json& request) {
   return std::optional(asked);
 }
 
-std::string SeatPush::progress() const {
-  const auto whole = std::count_if(contributions.begin(), contributions.end(),
-                                   [](const auto& contribution) { return contribution && contribution->ready(); });
-  return fmt::format("{} of {} seats", whole, contributions.size());
-}
-
-bool SeatPush::all_ready() {
-  while (ready < contributions.size() && contributions[ready] && contributions[ready]->ready()) ++ready;
-  return ready == contributions.size();
-}
-
-bool SeatPush::awaits(const Connection* connection) const {
-  return std::any_of(contributions.begin(), contributions.end(), [connection](const auto& contribution) {
-    return contribution && contribution->connection.get() == connection && !contribution->ready();
-  });
-}
-
 SeatGroups::SeatGroups(Coordinator& coordinator) : coordinator_(coordinator) {}
 
 SeatGroups::Group* SeatGroups::find(const std::string& scene) {
@@ -65,12 +48,6 @@ const SeatGroups::Group* SeatGroups::find(const std::string& scene) const {
 bool SeatGroups::knows(const std::string& scene, const Connection* connection) const {
   const Group* group = find(scene);
   return group != nullptr && group->seat_by_connection.contains(connection);
-}
-
-std::shared_ptr<OpenPush> SeatGroups::contribution_of(const SeatPush& step, const Connection* connection) const {
-  const Group* group = find(step.scene);
-  const auto seat = group == nullptr || step.over ? std::nullopt : seat_of(*group, connection);
-  return seat ? step.contributions[*seat] : nullptr;
 }
 
 std::string SeatGroups::holders(const std::string& scene) const {
@@ -164,17 +141,14 @@ void SeatGroups::leave_all(const Connection* connection) {
 
 // Aborts the open step of the seats, if there is one, and names this seat as the cause.
 void SeatGroups::abort_step_because_of(const std::string& scene, std::size_t seat, const std::string& why) {
-  const auto push = coordinator_.gate(scene).push;
-  if (push && push->round)
-    abort(push->round, nullptr,
-          {Code::aborted,
-           fmt::format("step {} of scene '{}' was given up: {} {}", push->round->step, scene, name(scene, seat), why),
-           "the previous step stands; push again"});
-  if (Group* group = find(scene); group != nullptr && group->counting)
-    end_count(*group, {Code::aborted,
-                       fmt::format("step {} of scene '{}' was given up: {} {}", group->counting->tally.step(), scene,
-                                   name(scene, seat), why),
-                       "the previous step stands; count or push again"});
+  const SceneGate& gate = coordinator_.gate(scene);
+  const auto given_up = [&](std::int64_t step) {
+    return Status(Code::aborted,
+                  fmt::format("step {} of scene '{}' was given up: {} {}", step, scene, name(scene, seat), why),
+                  "the previous step stands; bring it again");
+  };
+  if (gate.step && gate.step->by_seats()) abort(*gate.step, given_up(gate.step->number));
+  if (const auto counting = coordinator_.gate(scene).counting) end_count(scene, given_up(counting->number));
   coordinator_.erase_gate_if_unused(scene);
 }
 
@@ -187,10 +161,11 @@ std::string SeatGroups::name(const std::string& scene, std::size_t seat) const {
   return fmt::format("seat {} ('{}')", seat, one.client);
 }
 
-std::string SeatGroups::missing(const SeatPush& step) const {
+std::string SeatGroups::missing(const OpenStep& step) const {
+  if (!step.by_seats()) return fmt::format("{} ({})", step.who(), step.progress());
   std::vector<std::size_t> missing;
-  for (std::size_t k = 0; k < step.contributions.size(); ++k)
-    if (!step.contributions[k] || !step.contributions[k]->ready()) missing.push_back(k);
+  for (std::size_t k = 0; k < step.shares.size(); ++k)
+    if (!step.shares[k] || !step.shares[k]->ready()) missing.push_back(k);
   return names_of(step.scene, missing);
 }
 
@@ -199,13 +174,6 @@ std::string SeatGroups::names_of(const std::string& scene, std::span<const std::
   std::vector<std::string> names;
   for (const std::size_t seat : seats.first(std::min(seats.size(), kNamedMax))) names.push_back(name(scene, seat));
   return fmt::format("{}{}", fmt::join(names, ", "), and_more(seats.size() - names.size()));
-}
-
-Status SeatGroups::late(const SeatPush& step) const {
-  return {Code::deadline_exceeded,
-          fmt::format("step {} of scene '{}' was given up at its deadline: {} had not pushed it", step.step, step.scene,
-                      missing(step)),
-          "the previous step stands; push again"};
 }
 
 void SeatGroups::scene_changed(const std::string& scene) {

@@ -129,17 +129,18 @@ awaitable<Status> Session::serve(Frame frame) {
     co_return Status(Code::protocol_error,
                      fmt::format("a client doesn't send frames of type {}", static_cast<int>(frame.header.type)));
   auto command = wire::string_field(frame.json, "command", 64);
-  if (command.ok() && *command == "push.slice") co_return co_await push_slice(std::move(frame));
   const bool checked = (frame.header.flags & wire::kFlagBulkChecksum) != 0;
   Result<wire::CountRecord> counted = wire::CountRecord{};
+  const bool pushes = command.ok() && *command == "push";
   if (command.ok() && *command == "count") {
     if (const Status read = co_await read_record(frame, counted); !read.ok()) co_return read;
-  } else if (frame.header.bulk_bytes > 0 || checked) {
-    // The bulk is dropped, since no other command takes arrays; but a frame whose specs contradict its size ends the
-    // session.
+  } else if (frame.header.bulk_bytes > 0 || checked || pushes) {
+    // A frame whose specs contradict its size ends the session. The bulk of a push is read when it is admitted; any
+    // other is dropped, since no other command takes arrays.
     if (const auto specs = wire::array_specs(frame.json, frame.header.bulk_bytes); !specs.ok())
       co_return specs.status();
-    Status status = co_await connection_->skip_bulk(frame, frame.header.bulk_bytes);
+    Status status;
+    if (!pushes) status = co_await connection_->skip_bulk(frame, frame.header.bulk_bytes);
     if (!status.ok()) co_return status;
   }
   const auto deadline = wire::number_field_or(frame.json, "deadline_seconds", 0, wire::kDeadlineSecondsMax,
@@ -152,11 +153,13 @@ awaitable<Status> Session::serve(Frame frame) {
                                    ? Status(Code::unsupported, fmt::format("unknown command '{}'", *command),
                                             "the service may be older than the client: see 'status'")
                                    : deadline.status());
+    if (pushes) co_return co_await connection_->skip_bulk(frame, frame.header.bulk_bytes);
     co_return Status();
   }
   Request request{frame.header.request,  info,      std::move(*command),
                   std::move(frame.json), *deadline, now() + duration_of(*deadline)};
   request.counted = std::move(counted);
+  if (pushes) request.unread = &frame;
   request.bytes = wire::kHeaderBytes + frame.header.json_bytes + frame.header.bulk_bytes;
   ++answering_;
   if (const Status admitted = admit_size(request, frame.header.json_bytes); admitted.ok())
@@ -164,6 +167,8 @@ awaitable<Status> Session::serve(Frame frame) {
   else
     refuse(request, admitted);
   --answering_;
+  if (!request.breach.ok()) co_return request.breach;
+  if (request.unread != nullptr) co_return co_await connection_->skip_bulk(frame, frame.header.bulk_bytes);
   co_return Status();
 }
 
@@ -173,7 +178,7 @@ void Session::refuse(const Request& request, const Status& why) {
 }
 
 void Session::refuse_slices(const std::string& command, const Json& begin) {
-  if (command != "push.begin" || !may_bring_slices(begin)) return;
+  if (command != "push" || !may_bring_slices(begin)) return;
   if (const Result<PushId> id = read_push_id(begin, number_); id.ok() && id->step >= 0)
     coordinator_->refuse_directly(*id);
 }
@@ -213,7 +218,7 @@ awaitable<void> Session::dispatch(Request& request) {
     refuse(request, {Code::unavailable, "the service is shutting down"});
     co_return;
   }
-  if (request.command == "push.begin") co_return co_await push_begin(request);
+  if (request.command == "push") co_return co_await push(request);
   if (request.command == "scene.open") co_return co_await open_scene(request);
   if (request.command == "count") co_return co_await count(request);
   if (request.info->runs_on == api::RunsOn::ledger) co_return co_await answer_from_ledger(request);
@@ -265,15 +270,7 @@ awaitable<void> Session::scene_change(Request& request) {
   SceneGate& gate = coordinator_->gate(*scene);
   const bool drops = request.command == "scene.drop" || wire::is_true(request.json, "replace");
   const bool waits = request.command != "scene.create" || drops;
-  Status turn;
-  const auto own_is_open = [this, &gate] {
-    if (!gate.push) return false;
-    return gate.push->round ? gate.push->round->awaits(connection_.get()) : gate.push->connection == connection_;
-  };
-  if (own_is_open())
-    turn = Status(Code::busy, fmt::format("this connection has a push open on scene '{}'", *scene), "finish it first");
-  else
-    turn = co_await wait_turn(request, *scene, [&gate, waits] { return !waits || !gate.push; });
+  Status turn = co_await wait_turn(request, *scene, [&gate, waits] { return !waits || !gate.step; });
   const bool changes = changes_parts(request.command, request.json, coordinator_->scenes().find(*scene));
   // A file's particles are a push, too: a first one, of which those who have the scene open would not know.
   const bool loads = request.command == "load";
@@ -410,7 +407,7 @@ awaitable<Status> Session::wait_turn(const Request& request, const std::string& 
       status = Status(Code::deadline_exceeded, fmt::format("'{}' waited {} s for its turn at scene '{}'",
                                                            request.command, request.deadline_seconds, scene));
     if (!status.ok()) break;
-    co_await nap(place.timer(), request, notice_at, gate.push ? "a push of the scene to end" : "its turn at the scene");
+    co_await nap(place.timer(), request, notice_at, gate.step ? "a push of the scene to end" : "its turn at the scene");
   }
   co_return status;
 }

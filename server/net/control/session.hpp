@@ -81,6 +81,8 @@ class Session : public std::enable_shared_from_this<Session> {
     Result<wire::CountRecord> counted = wire::CountRecord{};  // by a count
     std::uint64_t bytes = 0;                                  // of its frame
     std::optional<SeatClaim> seat = {};                       // that a scene.open has taken
+    const Frame* unread = nullptr;                            // of a push: its arrays are still to be read
+    Status breach = {};                                       // of the protocol: the session ends
   };
 
   awaitable<Status> hello();
@@ -106,11 +108,7 @@ class Session : public std::enable_shared_from_this<Session> {
   // Reads the record of a count, of at most so many parts as its scene has, into `counted`. Errors end the session.
   awaitable<Status> read_record(const Frame& frame, Result<wire::CountRecord>& counted);
   awaitable<void> count(Request& request);
-  Status count_alone(Request& request, const std::string& scene);
-  // For one of the scene's seats, which are answered together.
-  Status count_by_seat(Request& request, const std::string& scene);
   Result<scene::CountRecord> record_of(Request& request) const;
-  void answer_count(const Request& request, const scene::Ledger& ledger, scene::CountVerdict verdict);
   awaitable<void> answer_from_ledger(Request& request);
   // Replies when the answer is complete, which may be on another thread.
   void send_later(const Request& request, Answer answer);
@@ -124,22 +122,14 @@ class Session : public std::enable_shared_from_this<Session> {
   awaitable<Status> watch(const Request& request, const std::string& scene, std::function<bool()> done,
                           const std::string& what);
 
-  awaitable<void> push_begin(Request& request);
-  // Handles the push.begin of a connection that has taken a seat of the scene.
-  awaitable<void> begin_contribution(Request& request, const PushId& id);
-  // Opens the direct path of the push; it is ordered when the ranks have their rows.
-  void begin_directly(const std::shared_ptr<OpenPush>& push);
-  Result<std::shared_ptr<OpenPush>> admit_push(const Request& request, const PushId& id);
-  // Whether a client that came by this endpoint may push on this path. Errors: unsupported, not_authorised.
-  Status check_path(const wire::Json& begin) const;
-  Status push_conflict(const SceneGate& gate, const PushId& id);
-  awaitable<Status> push_slice(Frame frame);
-  // Reads the bulk of a slice into its arrays. If the push is aborted meanwhile, the rest is read and dropped.
-  awaitable<Status> receive(const Frame& frame, const std::shared_ptr<OpenPush>& push, Slice& slice);
+  Asker asker(const Request& request) const;
+  awaitable<void> push(Request& request);
+  // Whether a client that came by this endpoint may push this way. Errors: unsupported.
+  Status check_way(const wire::Json& push) const;
+  // Reads a push's arrays into its slice. If it is aborted meanwhile, the rest is read and dropped.
+  awaitable<Status> receive(const Frame& frame, Block& block);
   // Reads what follows arrays that are checked. whose: "a slice". Errors: protocol_error.
   awaitable<Status> check_sum(const Frame& frame, const wire::BulkChecksum& checksum, const char* whose);
-  awaitable<void> order_push(std::shared_ptr<OpenPush> push);
-
   // Waits until this request is first in the scene's queue and `ready` holds, or until `overtake` holds, whoever is
   // first. Errors: deadline_exceeded, unavailable.
   awaitable<Status> wait_turn(

@@ -120,18 +120,26 @@ awaitable<Status> Session::read_record(const Frame& frame, Result<wire::CountRec
 
 awaitable<void> Session::count(Request& request) {
   const auto scene = wire::string_field(request.json, "scene", 256);
-  SeatGroups& groups = coordinator_->groups();
-  const bool seated = scene.ok() && groups.knows(*scene, connection_.get());
-  Status status = scene.status();
-  if (status.ok() && !seated) status = groups.check_free(*scene);
-  if (status.ok()) {
-    SceneGate& gate = coordinator_->gate(*scene);
-    const auto ready = [&gate] { return gate.changes_unfinished == 0 && gate.push == nullptr; };
-    // A seat keeps nobody waiting, so it need not queue; where others push the step it is told so.
-    const auto joins = [&gate, seated, ready] { return seated && (ready() || (gate.push && gate.push->round)); };
-    status = co_await wait_turn(request, *scene, ready, joins);
+  PushId id{scene.ok() ? *scene : "", number_};
+  // It keeps nobody waiting, so it need not queue.
+  Status status = scene.ok() ? coordinator_->groups().role_of(id, connection_.get()).status() : scene.status();
+  if (status.ok()) status = co_await wait_settled(request, id.scene);
+  if (status.ok() && !coordinator_->scenes().contains(id.scene)) status = coordinator_->unknown_scene(id.scene);
+  auto counted = record_of(request);
+  if (api::given(request.json, "fault")) {
+    const auto step = wire::integer_field(request.json, "step", 0, wire::kStepMax);
+    if (status.ok()) status = step.status();
+    if (step.ok()) id.step = *step;
+    Status fault = wire::status_from_failure({{"failure", request.json["fault"]}});
+    if (fault.code() == Code::internal || fault.code() == Code::protocol_error)  // no code that is known
+      fault = {Code::invalid_argument, "field 'fault': expected {\"code\",\"message\"}"};
+    counted = std::move(fault);
+  } else if (counted.ok()) {
+    id.step = static_cast<std::int64_t>(counted->step);
+  } else if (status.ok()) {
+    status = counted.status();
   }
-  if (status.ok()) status = seated ? count_by_seat(request, *scene) : count_alone(request, *scene);
+  if (status.ok()) status = coordinator_->groups().count(id, asker(request), std::move(counted));
   if (!status.ok()) reply(request, api::failed(status));
   if (scene.ok()) coordinator_->wake_queue(*scene);
 }
@@ -141,40 +149,6 @@ Result<scene::CountRecord> Session::record_of(Request& request) const {
   scene::CountRecord record{std::move(*request.counted), number_};
   record.bytes = request.bytes;
   return record;
-}
-
-Status Session::count_alone(Request& request, const std::string& scene) {
-  scene::Ledger* ledger = coordinator_->scenes().find(scene);
-  if (ledger == nullptr) return coordinator_->unknown_scene(scene);
-  const auto record = record_of(request);
-  if (record.ok()) answer_count(request, *ledger, ledger->count(*record));
-  return record.status();
-}
-
-Status Session::count_by_seat(Request& request, const std::string& scene) {
-  CountBegin begin{scene, 0, connection_, request.number, request.end, {}, {}};
-  if (api::given(request.json, "fault")) {
-    const auto step = wire::integer_field(request.json, "step", 0, wire::kStepMax);
-    if (!step.ok()) return step.status();
-    begin.step = *step;
-    begin.fault = wire::status_from_failure({{"failure", request.json["fault"]}});
-    if (begin.fault.code() == Code::internal || begin.fault.code() == Code::protocol_error)  // no code that is known
-      begin.fault = {Code::invalid_argument, "field 'fault': expected {\"code\",\"message\"}"};
-  } else {
-    auto record = record_of(request);
-    if (!record.ok()) return record.status();
-    begin.step = record->step;
-    begin.record = std::move(*record);
-  }
-  return coordinator_->groups().count(std::move(begin));
-}
-
-void Session::answer_count(const Request& request, const scene::Ledger& ledger, scene::CountVerdict verdict) {
-  const auto& is = verdict.is;
-  if (const auto* refused = std::get_if<Status>(&is)) return fail(request.number, *refused);
-  if (const auto* again = std::get_if<scene::CountVerdict::Repeated>(&is))
-    return send_later(request, api::repeated(ledger, again->number));
-  connection_->send_text(FrameType::reply, request.number, api::verdict_text(ledger, verdict));
 }
 
 }  // namespace rcb::net

@@ -1,6 +1,6 @@
 // Room `data`: how a rank receives its slices from clients.
 //
-// DataPort: one rank's own listeners. Over these, clients that push on the direct path send the rank its slices, which
+// DataPort: one rank's own listeners. Over these, clients send the rank its slices, which
 // are read straight into the memory that the engine takes over; and clients on this host hand over memory that they
 // share with the rank, from which later pushes are read.
 //

@@ -1,8 +1,8 @@
-// DataPlane: the direct path of pushes as the coordinator sees it. Clients send each rank its slice themselves; the
-// coordinator only tells the ranks which pushes to receive, and hears when they have them.
+// DataPlane: pushes to the ranks' sockets as the coordinator sees them. Clients send each rank its slice themselves;
+// the coordinator only tells the ranks which pushes to receive, and hears when they have them.
 //
 // Invariants
-// 1. Every push.begin that names the direct path leads to exactly one open() or drop(); every open() leads to exactly
+// 1. Every push that names this way leads to exactly one open() or drop(); every open() leads to exactly
 //    one order that takes the slices, or to one drop().
 // 2. After open() every rank that was told reports once that its slice is complete, or why it won't be. After drop() no
 //    report is awaited.
@@ -21,7 +21,7 @@
 
 namespace rcb::net {
 
-// What one rank is told of a push on the direct path.
+// What one rank is told of such a push.
 struct PushTicket {
   std::uint64_t number = 0;  // the push's number, given by the coordinator
   PushTerms terms;           // n: particles of this rank alone

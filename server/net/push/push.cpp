@@ -70,7 +70,7 @@ Status check_shared(const PushTerms& terms, const scene::SceneState& scene, std:
   if (by_held(terms, scene) && (scene.ids || terms.ids || seats > 1 || terms.flows()))
     return {Code::unsupported,
             "without the array 'row' the row k of the memory is the particle k, of one client and without ids",
-            "push with 'row' and 'counts', or by the path \"direct\" or \"gateway\""};
+            "push with 'row' and 'counts', or by the way \"sockets\" or \"endpoint\""};
   auto expected = expected_arrays(terms);
   if (!terms.counts.empty()) expected.emplace_back("row", "<u8");
   bool match = terms.shared.size() == expected.size();
@@ -95,9 +95,6 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   if (Status arrays = check_arrays(terms, scene, seats); !arrays.ok()) return arrays;
   if (terms.from_memory() && terms.n > 0)
     if (Status shared = check_shared(terms, scene, seats); !shared.ok()) return shared;
-  if (seats == 0 && scene.step)
-    if (Status all = scene::check_conserved(id.scene, scene.n, terms.n, terms.inserted, terms.removed); !all.ok())
-      return all;
   if (terms.bytes() > bytes_max)
     return Status(Code::too_large, fmt::format("the push has {} bytes, at most {} are taken", terms.bytes(), bytes_max),
                   "start the service with a larger --bulk-bytes, or on a larger machine");
@@ -105,7 +102,7 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
 }
 
 bool may_bring_slices(const wire::Json& request) {
-  return request.value("path", wire::Json()) == "direct" || request.contains("sockets");
+  return request.value("way", wire::Json()) == "sockets" || request.contains("sockets");
 }
 
 Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, const PushTerms& terms,
@@ -144,17 +141,6 @@ void widen(std::span<const std::byte> floats, std::span<std::byte> doubles) {
     const double to = from;
     std::memcpy(doubles.data() + i * sizeof(double), &to, sizeof to);
   }
-}
-
-Result<Slice> PushSlices::begin_slice(const wire::Json& request, std::uint64_t bulk_bytes) const {
-  if (const auto specs = wire::array_specs(request, bulk_bytes); !specs.ok()) return specs.status();
-  const auto count = wire::integer_field(request, "count", 0, wire::kParticlesMax);
-  if (!count.ok()) return count.status();
-  if (whole()) return Status(Code::invalid_argument, "no slice, or no other one, is to come by this connection");
-  if (static_cast<std::uint64_t>(*count) != terms_.n)
-    return Status(Code::invalid_argument,
-                  fmt::format("the slice has {} particles, the push announced {}", *count, terms_.n));
-  return make_slice(request, bulk_bytes, terms_, terms_.n);
 }
 
 }  // namespace rcb::net

@@ -1,6 +1,6 @@
 // Room `push`: a push as the socket side sees it, and the interface to the engine (engine.hpp). No sockets here.
 //
-// Push: what a push.begin announces, and the slice that follows it on the same connection, if any does.
+// Push: what a push says of its rows, and their arrays.
 //
 // Invariant: every size is checked against limits and the announcement before memory is reserved for it, and memory
 // grows with the bytes that arrive: an announcement alone costs nothing.
@@ -24,7 +24,7 @@ namespace rcb::net {
 using api::PushId;
 using api::read_push_id;
 
-// A push.begin that was admitted, and what is known of its scene.
+// A push that was admitted, and what is known of its scene.
 struct PushTerms : api::Push {
   int ranks = 1;
   int dims = 3;
@@ -33,12 +33,12 @@ struct PushTerms : api::Push {
   std::uint64_t bytes() const { return 8 * n * (static_cast<unsigned>(dims) + (weights ? 1U : 0U) + (ids ? 1U : 0U)); }
 };
 
-// Reads a push.begin and checks it against what is known of its scene. seats: that push the scene together; 0: one
-// client alone. Errors: invalid_argument, not_found, stale_step, not_conserved, too_large, unsupported.
+// Reads a push and checks it against what is known of its scene. seats: that push the scene together. Errors:
+// invalid_argument, not_found, stale_step, too_large, unsupported.
 Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const scene::SceneState& scene,
-                                  int ranks, std::uint64_t bytes_max, std::size_t seats = 0);
+                                  int ranks, std::uint64_t bytes_max, std::size_t seats);
 
-// Whether slices for the ranks may follow this push.begin on connections of their own, though it was refused.
+// Whether slices for the ranks may follow this push on connections of their own, though it was refused.
 bool may_bring_slices(const wire::Json& request);
 
 // A slice of `count` rows with the arrays that the terms require, still without bytes.
@@ -48,24 +48,5 @@ Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, co
 
 // Converts float32 to double, which is exact. `floats` may be the last half of `doubles`.
 void widen(std::span<const std::byte> floats, std::span<std::byte> doubles);
-
-// What comes of a push through the endpoint: one slice, unless its rows go to the ranks or it has none.
-class PushSlices {
- public:
-  explicit PushSlices(PushTerms terms) : terms_(std::move(terms)) {}
-  const PushTerms& terms() const { return terms_; }
-
-  // The slice that a push.slice announces, its arrays without bytes. Changes nothing. Errors: invalid_argument,
-  // protocol_error (the connection must end).
-  Result<Slice> begin_slice(const wire::Json& request, std::uint64_t bulk_bytes) const;
-  // Its arrays are filled.
-  void add(Slice slice) { slice_ = std::move(slice); }
-  bool whole() const { return slice_ || terms_.n == 0 || terms_.to_ranks(); }
-  std::optional<Slice> take() { return std::exchange(slice_, std::nullopt); }
-
- private:
-  PushTerms terms_;
-  std::optional<Slice> slice_;
-};
 
 }  // namespace rcb::net

@@ -160,7 +160,6 @@ Response load(Context& context, Scene& scene, const wire::Json& request) {
     return failed({Code::invalid_argument, fmt::format("{} has {} dimension(s), scene '{}' has {}", load->path,
                                                        slices.dims, scene.name, scene.options.dims)});
   PushRequest push;
-  push.id.session = "load";
   push.id.step = load->step;
   push.n = slices.total;
   push.ids = slices.ids;

@@ -20,9 +20,8 @@ namespace {
 class Deal {
  public:
   Deal(const Block& block, int seats, int ranks) : n_(block.n) {
-    const int of = std::max(seats, 1);
-    first_ = block.seat * ranks / of;
-    last_ = std::max((block.seat + 1) * ranks / of, first_ + 1);
+    first_ = block.seat * ranks / seats;
+    last_ = std::max((block.seat + 1) * ranks / seats, first_ + 1);
   }
   std::uint64_t begin(int rank) const {
     return layout::row_begin(std::clamp(rank, first_, last_) - first_, n_, last_ - first_);

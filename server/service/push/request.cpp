@@ -16,7 +16,7 @@ Result<Block> read_block(const wire::Json& json, int ranks) {
   Block block;
   block.seat = static_cast<int>(fields.integer_or("seat", 0, wire::kSeatsMax, 0));
   block.n = fields.particles("n");
-  block.way = api::read_path(fields);
+  block.way = api::read_way(fields);
   block.is_float32 = fields.word("dtype", {"<f8", "<f4"}) == "<f4";
   for (const double count : fields.numbers("counts", static_cast<std::size_t>(ranks)))
     block.counts.push_back(static_cast<std::uint64_t>(count));
@@ -38,10 +38,10 @@ api::Way way_of(const std::vector<Block>& blocks) {
 
 Result<PushRequest> read_order(const wire::Json& request, int ranks) {
   wire::FieldReader fields(request);
-  api::PushId id{.scene = fields.text("scene", 64), .session = fields.text("session", 64)};
+  api::PushId id{.scene = fields.text("scene", 64)};
   id.step = fields.integer("step", 0, wire::kStepMax);
   PushRequest order;
-  order.seats = static_cast<int>(fields.integer_or("seats", 0, wire::kSeatsMax, 0));
+  order.seats = static_cast<int>(fields.integer_or("seats", 1, wire::kSeatsMax, 1));
   if (!fields.ok()) return fields.status();
   auto push = api::read_push(request, std::move(id), ranks);
   if (!push.ok()) return push.status();

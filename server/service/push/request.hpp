@@ -23,7 +23,7 @@ struct Block {
 
 struct PushRequest : api::Push {
   scene::DecisionTerms terms;  // of rank 0's ledger
-  int seats = 0;               // of a parallel solver; 0: a single client pushes
+  int seats = 1;               // that bring the step together
   std::vector<Block> blocks;   // those that have rows, by ascending seat
   // Of mix64(id), of the last step, where counts have brought other particles than the ranks hold. Rank 0's ledger has
   // compared their number.

@@ -91,7 +91,7 @@ Status check_distinct(comm::Comm& comm, int seats, const std::vector<Run>& runs,
   comm.all_min({&least, 1});
   comm.all_max({&most, 1});
   return {Code::duplicate_id,
-          seats == 0      ? fmt::format("id {} occurs more than once", *twin)
+          seats == 1      ? fmt::format("id {} occurs more than once", *twin)
           : least == most ? fmt::format("seat {} pushes id {} twice", least, *twin)
                           : fmt::format("id {} is pushed by seat {} and by seat {}", *twin, least, most),
           "ids must be distinct"};

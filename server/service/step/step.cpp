@@ -253,7 +253,6 @@ scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const Push
   report.seconds.total = staged.seconds + context.clock.seconds() - start;
   scene.step = push.id.step;
   if (!context.root()) return stepped;
-  stepped.session = push.id.session;
   stepped.step_seconds = push.step_seconds;
   stepped.drifted = push.drifted;
   stepped.held = scene;

@@ -24,14 +24,13 @@ class FakeScene {
     close_after_commit,   // commits, then closes without an answer
     close_in_answer,      // commits and sends half of the answer
     late_after_commit,    // commits, and says only that it wasn't done in time
-    busy_early,           // refuses at push.begin, then reads the slice
     die_before_commit,    // reads the push, then is started again, and its ranks hold nothing
     die_after_commit,     // commits, then the same
   };
 
   FakeScene(int dims, int parts, int ranks) : dims_(dims), parts_(parts), ranks_(ranks) {}
 
-  // What the n-th push.begin (from 0) meets.
+  // What the n-th push (from 0) meets.
   std::function<Fault(int)> fault = [](int) { return Fault::none; };
   // What the test pushes, by id.
   std::function<double(std::int64_t id, std::size_t axis, std::int64_t step)> position;
@@ -90,11 +89,11 @@ class FakeScene {
           peer.reply(*frame, cuts.json, cuts.arrays);
         else
           peer.fail(*frame, {Code::not_found, "no positions yet"});
-      } else if (command == "push.begin") {
+      } else if (command == "push") {
         if (!push(peer, *frame)) return;
       } else if (command == "count") {
         if (!count(peer, *frame)) return;
-      } else if (command != "push.slice") {
+      } else {
         peer.fail(*frame, {Code::unsupported, "unknown command"});
       }
     }
@@ -147,36 +146,29 @@ class FakeScene {
   }
 
   // False: the connection ends.
-  bool push(Peer& peer, const Received& begin) {
+  bool push(Peer& peer, const Received& push) {
     const Fault now = fault(static_cast<int>(attempts.size()));
-    attempts.push_back(begin.json["attempt"].get<std::int64_t>());
-    begun.push_back(begin.json);
-    const auto number = begin.json["step"].get<std::int64_t>();
-    // A slice that the client has begun is read by serve(), as a service reads and drops it.
-    if (now == Fault::busy_early) return peer.fail(begin, {Code::busy, "held by another"});
-    std::optional<Received> slice;
-    if (begin.json["n"] > 0) {
-      slice = peer.receive();
-      if (!slice) return false;
-    }
+    attempts.push_back(push.json["attempt"].get<std::int64_t>());
+    begun.push_back(push.json);
+    const auto number = push.json["step"].get<std::int64_t>();
     if (now == Fault::die_before_commit) return restart();
     if (now == Fault::close_before_commit) return false;
-    if (now == Fault::late) return peer.fail(begin, {Code::deadline_exceeded, "it was late"});
-    if (step == number) return peer.reply(begin, {{"report", report(number)}, {"repeated", true}});
-    std::vector<std::int64_t> ids(begin.json["n"].get<std::size_t>());
+    if (now == Fault::late) return peer.fail(push, {Code::deadline_exceeded, "it was late"});
+    if (step == number) return peer.reply(push, {{"report", report(number)}, {"repeated", true}});
+    std::vector<std::int64_t> ids(push.json["n"].get<std::size_t>());
     std::iota(ids.begin(), ids.end(), 0);
-    if (begin.json.value("ids", false)) ids = slice->values<std::int64_t>("id");
-    if (step && ids.size() + begin.json["removed"].get<std::size_t>() !=
-                    ids_.size() + begin.json["inserted"].get<std::size_t>())
-      return peer.fail(begin, {Code::not_conserved, "others were there"});
-    if (step && weights_ && !begin.json.value("weights", false))
-      return peer.fail(begin, {Code::invalid_argument, "the push has no weights"});
-    if (slice) check_slice(begin, *slice, ids, number);
+    if (push.json.value("ids", false) && !ids.empty()) ids = push.values<std::int64_t>("id");
+    if (step &&
+        ids.size() + push.json["removed"].get<std::size_t>() != ids_.size() + push.json["inserted"].get<std::size_t>())
+      return peer.fail(push, {Code::not_conserved, "others were there"});
+    if (step && weights_ && !push.json.value("weights", false))
+      return peer.fail(push, {Code::invalid_argument, "the push has no weights"});
+    if (!ids.empty()) check_rows(push, ids, number);
     has_ids_ = std::ranges::any_of(ids, [&](std::int64_t id) { return id >= static_cast<std::int64_t>(ids.size()); });
-    weights_ = begin.json.value("weights", false);
-    weights = weights_ ? slice->values<double>("w") : std::vector<double>();
+    weights_ = push.json.value("weights", false);
+    weights = weights_ && !ids.empty() ? push.values<double>("w") : std::vector<double>();
     ids_ = {ids.begin(), ids.end()};
-    return commit(peer, begin, number, now);
+    return commit(peer, push, number, now);
   }
 
   bool restart() {
@@ -194,24 +186,20 @@ class FakeScene {
     weights.clear();
   }
 
-  // What the slice says of itself, and value by value.
-  void check_slice(const Received& begin, const Received& slice, const std::vector<std::int64_t>& ids,
-                   std::int64_t number) {
-    EXPECT_EQ(begin.json["path"], "gateway");
-    EXPECT_EQ(slice.json["command"], "push.slice");
-    for (const char* field : {"scene", "step", "attempt"}) EXPECT_EQ(slice.json[field], begin.json[field]) << field;
-    EXPECT_EQ(slice.json["count"], ids.size());
+  // What the arrays say of themselves, and value by value.
+  void check_rows(const Received& push, const std::vector<std::int64_t>& ids, std::int64_t number) {
+    EXPECT_EQ(push.json["way"], "endpoint");
     protocol::Json arrays = protocol::Json::array();
     const auto describe = [&](const char* name, const char* dtype) {
       arrays.push_back({{"name", name}, {"dtype", dtype}, {"shape", {ids.size()}}});
     };
     for (std::size_t axis = 0; axis < static_cast<std::size_t>(dims_); ++axis) describe(kAxes[axis], "<f8");
-    if (begin.json["weights"] == true) describe("w", "<f8");
-    if (begin.json["ids"] == true) describe("id", "<i8");
-    ASSERT_EQ(slice.json["arrays"], arrays);
+    if (push.json["weights"] == true) describe("w", "<f8");
+    if (push.json["ids"] == true) describe("id", "<i8");
+    ASSERT_EQ(push.json["arrays"], arrays);
     std::size_t wrong = 0;
     for (std::size_t axis = 0; axis < static_cast<std::size_t>(dims_); ++axis) {
-      const auto values = slice.values<double>(kAxes[axis]);
+      const auto values = push.values<double>(kAxes[axis]);
       for (std::size_t i = 0; i < ids.size(); ++i) wrong += values[i] != position(ids[i], axis, number) ? 1U : 0U;
     }
     EXPECT_EQ(wrong, 0U) << "step " << number;

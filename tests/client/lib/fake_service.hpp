@@ -2,6 +2,7 @@
 // says. No wait of it is longer than kWaitSeconds, so a broken client fails a test instead of hanging it.
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <cstring>
 #include <exception>
@@ -81,6 +82,21 @@ class Peer {
   // The next frame, by the rules of PROTOCOL.md; none at the end of the connection.
   std::optional<Received> receive() {
     return protocol::receive([this](char* to, std::size_t size) { return read(to, size); });
+  }
+
+  // Header and JSON of the next frame alone, and how many bytes follow.
+  std::pair<Received, std::uint64_t> receive_head() {
+    std::array<char, 40> header{};
+    Received head;
+    std::uint32_t json_bytes = 0;
+    std::uint64_t bulk_bytes = 0;
+    if (!read(header.data(), header.size())) return {};
+    std::memcpy(&json_bytes, header.data() + 12, sizeof json_bytes);
+    std::memcpy(&head.request, header.data() + 16, sizeof head.request);
+    std::memcpy(&bulk_bytes, header.data() + 24, sizeof bulk_bytes);
+    std::string text(json_bytes, '\0');
+    if (read(text.data(), text.size())) head.json = protocol::Json::parse(text);
+    return {head, bulk_bytes};
   }
 
   // nonce: where a proof of the token is asked for.

@@ -74,7 +74,7 @@ class TwoRanks {
         {{"session", hello->json["session"]}, {"ranks", 2}, {"data", {ranks_[0]->endpoint(), ranks_[1]->endpoint()}}});
     while (const auto frame = peer.receive()) {
       const auto command = frame->json.value("command", "");
-      if (command == "push.begin") {
+      if (command == "push") {
         push(peer, *frame);
         continue;
       }
@@ -88,9 +88,6 @@ class TwoRanks {
   void push(Peer& peer, const Received& begin) {
     begun.push_back(begin.json);
     const auto n = begin.json["n"].get<std::size_t>();
-    if (begin.json["path"] == "gateway" && n > 0) {
-      EXPECT_TRUE(peer.receive());
-    }
     shared.emplace_back();
     for (const protocol::Json& array : begin.json.value("memory", protocol::Json::array())) {
       const std::lock_guard lock(mutex_);

@@ -142,7 +142,7 @@ TEST(Frame, MutatedFramesAlwaysGiveAStatus) {
   SCOPED_TRACE("seed " + std::to_string(seed));
   Random random(seed);
   const std::string json =
-      R"({"command":"push.slice","scene":"jet","count":3,)"
+      R"({"command":"push","scene":"jet","n":3,)"
       R"("arrays":[{"name":"x","dtype":"<f8","shape":[3]},{"name":"id","dtype":"<i8","shape":[3]}]})";
   constexpr std::string_view kAlphabet = "{}[]\":,0123456789-+.eE\\u\x80\xff\n nulltruefalse";
   for (int round = 0; round < 20000; ++round) {

@@ -11,8 +11,8 @@ from protocol_client import GOODBYE, HELLO, NOTICE, REPLY, REQUEST, Client, Refu
 INTERNAL = ("staged", "seat", "session", "blocks", "together", "seats", "number", "rank", "direct", "loan",
             "snapshot", "terms", "internal", "push", "secret", "way", "generation")
 COMMANDS = ("status", "scene.list", "scene.show", "scene.open", "scene.close", "scene.create", "error", "counts", "cuts",
-            "history", "stats", "owner", "box", "assign", "fetch", "quality", "compare", "count", "rebalance", "push.begin",
-            "push.slice", "push", "push.staged", "hello", "")
+            "history", "stats", "owner", "box", "assign", "fetch", "quality", "compare", "count", "rebalance",
+            "push", "push", "push.slice", "push.staged", "hello", "")
 FIELDS = ("step", "attempt", "n", "dtype", "weights", "ids", "drifted", "cuts_known", "incarnation", "hash", "id_sum",
           "path", "rank", "count", "first", "counts", "inserted", "removed", "memory", "sockets", "arrays", "parts",
           "dims", "method", "tolerance", "part_sizes", "replace", "position", "id", "lo", "hi", "last", "seat",
@@ -141,7 +141,7 @@ class Fuzz(Actor):
 
     def value(self, depth=0):
         number = self.random.choice([0, 1, -1, 2, 7, 2**31, 2**48, 2**53 + 1, 2**63 - 1, -2**63, 2**64 - 1, 0.5, 1e308])
-        text = self.random.choice(["", self.scene, "id", "<f8", "<f4", "none", "direct", "gateway", "shared", "x" * 1000, "0" * 16, "\u0000", "é", *self.sessions])
+        text = self.random.choice(["", self.scene, "id", "<f8", "<f4", "none", "endpoint", "sockets", "shared-memory", "x" * 1000, "0" * 16, "\u0000", "é", *self.sessions])
         if depth > 2:
             return number
         return self.random.choice([
@@ -169,8 +169,8 @@ class Fuzz(Actor):
                 document.setdefault("deadline_seconds", 5)
                 client.number += 1
                 self.send(client.socket, frame(REQUEST, client.number, document))
-                if is_data or document["command"] in ("push.begin", "push.slice"):
-                    continue  # answered when its slices have come, or not at all
+                if is_data or document["command"] == "push":
+                    continue  # answered when its rows have come, or not at all
                 try:
                     self.answer_of(client)
                 except LOST:
@@ -223,12 +223,12 @@ class Fuzz(Actor):
                 pass  # told so with request 0, or closed
 
     def arrays(self):
-        """A slice whose arrays contradict themselves."""
+        """A push or slice whose arrays contradict themselves."""
         shapes = [[1], [3], [0], [-1], [2**48], [2**61, 8], [2**32, 2**32], [], [1] * 9, "x", None]
         arrays = [{"name": self.random.choice(["x", "y", "z", "id", "w", "", "x" * 65, 7]),
                    "dtype": self.random.choice(["<f8", "<f4", "<i8", ">f8", "object", "", 3]),
                    "shape": self.random.choice(shapes)} for _ in range(self.random.choice([0, 1, 3, 4, 17]))]
-        document = {**self.document(), "command": self.random.choice(["push.slice", "push.slice", "status"]),
+        document = {**self.document(), "command": self.random.choice(["push.slice", "push", "status"]),
                     "arrays": self.random.choice([arrays, None, {}, 5])}
         with self.opened() as client:
             self.send(client.socket, frame(REQUEST, 9, document, self.random.randbytes(self.random.choice([0, 8, 24, 1000])),
@@ -241,6 +241,9 @@ class Fuzz(Actor):
             if "rank" in client.hello:
                 return
             n = self.random.choice([10**6, 10**8, 4 * 10**8])
-            client.send({"command": "push.begin", "scene": self.scene, "step": 0, "attempt": 1,
-                         "n": n, "deadline_seconds": 2})
+            push = {"command": "push", "scene": self.scene, "step": 0, "attempt": 1, "n": n, "deadline_seconds": 2,
+                    "arrays": [{"name": axis, "dtype": "<f8", "shape": [n]} for axis in "xyz"]}
+            text = json.dumps(push).encode()
+            head = struct.pack("<4sHHIIQQ", b"RCBD", 2, REQUEST, 0, len(text), 9, 24 * n)
+            self.send(client.socket, head + struct.pack("<Q", xxh3(head + text)) + text)
             self.drain(client.socket)

@@ -21,7 +21,7 @@ class Guest(PushClient):
     """A connection that doesn't wait for its answers. `owed`: the requests that are to be answered, each once."""
 
     def __init__(self, address, scene, **options):
-        super().__init__(address, "shared", **options)
+        super().__init__(address, "shared-memory", **options)
         for link in self.links:
             link.socket.settimeout(2)
         self.scene, self.owed, self.seat, self.broken = scene, {}, None, False
@@ -178,7 +178,7 @@ class Mob(Actor):
                 ("inserted", NUMBERS), ("removed", NUMBERS), ("n", (n + 1, n - 1, *NUMBERS)), ("drifted", NUMBERS),
                 ("step_seconds", (0, 1, 1e308, -1)), ("cuts_known", ({}, {"epoch": 1, "hash": "0" * 16})),
                 ("incarnation", (self.shown["incarnation"], "0" * 16)), ("attempt", NUMBERS), ("ids", (True, False)),
-                ("weights", (True, False)), ("dtype", ("<f8", "<f4")), ("path", WAYS), ("counts", UNTRUE),
+                ("weights", (True, False)), ("dtype", ("<f8", "<f4")), ("way", WAYS), ("counts", UNTRUE),
                 ("memory", UNTRUE), ("sockets", ([0], [1, 2], [0, 1, 2], *UNTRUE)),
                 ("counts", (None, [n, 0, 0], [0, 0, n], [2**48] * 3, [n + 1, -1, 0]))])
             said[name] = self.random.choice(values)
@@ -188,9 +188,12 @@ class Mob(Actor):
         if self.random.random() < 0.3:
             to = self.rng.integers(0, 3, n) if self.random.random() < 0.5 else np.full(n, self.random.randrange(3))
             deal = [np.flatnonzero(to == r) for r in range(self.world.ranks)]
-        begin, slices = guest.frames(self.scene, self.step(), block, way=self.random.choice(WAYS), deal=deal,
+        way = self.random.choice(WAYS)
+        begin, slices = guest.frames(self.scene, self.step(), block, way=way, deal=deal,
                                      by_socket=self.random.choice([(), (), (1,), (0, 2)]),
                                      each=self.random.choice([n + 1, 7 + n // 5]), **said)
+        if way == "endpoint":  # one frame
+            begin, slices = b"".join([begin, *(rows for _, rows in slices)]), []
         begin, slices = self.spoil(guest, begin, slices, n)
         self.deliver(guest, [(guest.socket, begin), *slices])
 

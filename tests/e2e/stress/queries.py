@@ -22,7 +22,7 @@ class OwnScene(Actor):
         self.dims, self.n, self.parts = (int(self.rng.integers(1, most)) for most in (4, 3000, 30))
         self.points = self.rng.random((self.n, self.dims))
         self.scene = self.create(self.client, parts=self.parts, dims=self.dims)
-        with self.connect(PushClient, "gateway", keep=False) as pusher:
+        with self.connect(PushClient, "endpoint", keep=False) as pusher:
             self.patiently(pusher.push_block, self.scene, 0, Block(self.points))
         self.assigned = arrays_of(*self.ask(self.client, "assign", scene=self.scene))["part"]
 

@@ -110,7 +110,7 @@ class Seats(Actor):
                 self.begin_push(one, self.held[k])
                 one.rest()
         one = self.team[victim]
-        self.begin_push(one, self.held[victim], way="gateway", cut=int(self.rng.integers(1, 25)))
+        self.begin_push(one, self.held[victim], way="endpoint", cut=int(self.rng.integers(1, 25)))
         one.close()
         refusals, answers = self.answers(others)
         self.expect(not answers, "a step without seat", victim, answers[:1])
@@ -141,8 +141,8 @@ class Seats(Actor):
         return False
 
     def lie_of(self):
-        """One field of a push.begin, and what isn't so."""
-        fields = ("step", "attempt", "n", "path", "dtype", "weights", "ids", "counts", "memory", "sockets", "inserted", "removed",
+        """One field of a push, and what isn't so."""
+        fields = ("step", "attempt", "n", "way", "dtype", "weights", "ids", "counts", "memory", "sockets", "inserted", "removed",
                   "step_seconds", "cuts_known", "drifted", "incarnation")
         self.said = (self.random.choice(fields), self.random.choice(UNTRUE))
         return dict([self.said])

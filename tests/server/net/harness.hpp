@@ -82,10 +82,13 @@ class Client {
   // Reads the welcome and says hello, with a proof of the token where one is given; gives the answer.
   Received hello(const std::string& name, const std::string& session, const std::string& token = {},
                  const std::string& listener = "endpoint");
-  void begin(const std::string& session, std::int64_t step, std::uint64_t n, wire::Json more = wire::Json::object());
-  // Of two axes, with the values 0, 1, ...; the bulk as it was sent.
-  std::string slice(const std::string& session, std::int64_t step, std::uint64_t count,
-                    wire::Json more = wire::Json::object(), bool checked = false);
+  // A push of two axes, with the values 0, 1, ..., unless `more` says other arrays or another way. Returns the bulk as
+  // it was sent.
+  std::string push(std::int64_t step, std::uint64_t n, const wire::Json& more = wire::Json::object(),
+                   bool checked = false);
+  // The same without its bulk; then that.
+  void begin(std::int64_t step, std::uint64_t n, const wire::Json& more = wire::Json::object());
+  void finish(std::uint64_t n);
   void close();
 
  private:

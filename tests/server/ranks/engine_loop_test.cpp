@@ -80,11 +80,9 @@ class Queue {
     slices.push_back(std::move(slice));
     add({{"command", "push"},
          {"scene", scene},
-         {"session", "s"},
          {"step", step},
-         {"attempt", 0},
          {"n", kCount},
-         {"blocks", Json::array({{{"seat", 0}, {"n", kCount}, {"path", "gateway"}, {"dtype", "<f8"}}})}},
+         {"blocks", Json::array({{{"seat", 0}, {"n", kCount}, {"way", "endpoint"}, {"dtype", "<f8"}}})}},
         std::move(slices));
   }
 

@@ -45,7 +45,7 @@ TEST(Count, HasNoMoreLoadThanWeightsCanHave) {
 Result<CountRecord> counted(Random& random, const particles::ParticleView& particles,
                             std::span<const std::int32_t> part, std::size_t seats,
                             const std::function<void(std::size_t, CountRecord&)>& change = {}) {
-  scene::Tally tally(1, seats);
+  scene::Tally tally(seats);
   const int scale = scale_needed(particles).value_or(0);
   for (std::size_t seat = 0, first = 0; seat < seats; ++seat) {
     EXPECT_FALSE(tally.whole());
@@ -98,7 +98,7 @@ TEST(Count, GivesTheLoadsOfThePositionsHoweverManySeatsCount) {
 
 TEST(Count, StrangersAreInPartsOfOtherSeats) {
   const auto strangers = [](int parts, const std::vector<std::vector<std::uint64_t>>& by_seat) {
-    scene::Tally tally(1, by_seat.size());
+    scene::Tally tally(by_seat.size());
     for (std::size_t seat = 0; seat < by_seat.size(); ++seat) {
       CountRecord record;
       record.id_sum = 0;

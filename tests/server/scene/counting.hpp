@@ -83,24 +83,23 @@ inline std::string in_words(const scene::CountVerdict& verdict) {
   if (std::holds_alternative<scene::CountVerdict::OtherCuts>(verdict.is)) return "other cuts";
   if (const auto* other = std::get_if<scene::CountVerdict::OtherScale>(&verdict.is))
     return fmt::format("other scale {}", other->exponent);
-  if (const auto* again = std::get_if<scene::CountVerdict::Repeated>(&verdict.is))
-    return fmt::format("repeated {}", again->number);
   return fmt::format("committed after {}",
                      std::get<scene::CountVerdict::Committed>(verdict.is).previous_step.value_or(-1));
 }
 
 // Counts a step, of which each seat brings its share.
 inline std::string ask(scene::Ledger& ledger, const std::vector<scene::CountRecord>& seats) {
-  scene::Tally tally(0, seats.size());
-  Result<scene::CountRecord> record = Status(Code::internal, "no seats");
+  scene::Tally tally(seats.size());
   for (std::size_t seat = 0; seat < seats.size(); ++seat) {
-    record = received(seats[seat]);
+    const auto record = received(seats[seat]);
     if (!record.ok()) return fmt::format("malformed {}", code_name(record.status().code()));
+    if (const Status fits = ledger.check_seat(*record); fits.code() == Code::stale_step)
+      return ledger.was_in_last(record->session, record->step) ? "repeated" : "refused stale_step";
     tally.put(seat, *record);
   }
-  if (seats.size() > 1) record = tally.sum(ledger.now().options.parts);
-  if (!record.ok()) return fmt::format("malformed {}", code_name(record.status().code()));
-  return in_words(ledger.count(*record));
+  auto all = tally.sum(ledger.now().options.parts);
+  if (!all.ok()) return fmt::format("malformed {}", code_name(all.status().code()));
+  return in_words(ledger.count(*all));
 }
 
 // All reports from `first` on, of the memory or the journal.

@@ -119,7 +119,6 @@ class Life {
     }
   }
   const std::vector<Json>& reports() const { return reports_; }
-  const std::string& session() const { return session_; }
   std::size_t seats() const { return seats_; }  // of the last step
   bool replaced() const { return replaced_; }   // by what happened last
 
@@ -136,7 +135,6 @@ class Life {
 
   void make_step(Ledgers& ledgers, Ledger& ledger) {
     step_ += 1 + static_cast<std::int64_t>(random_.below(3));
-    if (chance(random_, 8)) session_ = fmt::format("run {}", step_);
     world_->move(random_);
     seconds_ = chance(random_, 4) ? std::nullopt : std::optional(random_.uniform(0, 0.1));
     if (chance(random_, 4)) ledger.take(scene::Asked{"quality"});
@@ -144,7 +142,6 @@ class Life {
     if (ledger.now().step && chance(random_, 12)) world_->exchange(random_);
     if (ledger.now().step && count(ledger, had)) return;
     scene::Stepped stepped = ranks_.push(world_->set, step_, ledger.terms(seconds_));
-    stepped.session = session_;
     stepped.step_seconds = seconds_;
     stepped.sessions = sessions();
     seats_ = stepped.sessions.size();
@@ -161,7 +158,6 @@ class Life {
         count_rows(view, part.span(), 0, view.count, now.weights ? scale_needed(view).value_or(0) : 0);
     std::vector<particles::Id> both;
     std::ranges::set_intersection(world_->set.id.span(), had, std::back_inserter(both));
-    record.session = session_;
     record.step = step_;
     record.incarnation = now.incarnation;
     record.epoch = now.epoch;
@@ -192,7 +188,6 @@ class Life {
   std::size_t seats_ = 0;
   std::uint64_t incarnation_ = 0x1000;
   std::int64_t step_ = -1;
-  std::string session_ = "run";
   std::optional<double> seconds_;
   std::vector<Json> reports_;  // of the scene that is there
   bool replaced_ = false;
@@ -225,8 +220,6 @@ void check_restored(const Ledger& ledger, const Life& life, std::uint64_t lost =
   EXPECT_EQ(now.tree != nullptr, now.step.has_value());
   if (!now.step) return;
   EXPECT_EQ(now.tree->hash(), now.hash);
-  EXPECT_EQ(ledger.repeated(life.session(), *now.step), ledger.totals().steps - 1);
-  EXPECT_EQ(ledger.repeated(life.session() + "'", *now.step), std::nullopt);
   for (std::size_t k = 0; k < 4; ++k)
     EXPECT_EQ(ledger.was_in_last(fmt::format("seat {}", k), *now.step), k < life.seats()) << k;
   const auto reports = reports_of(ledger);

@@ -39,7 +39,7 @@ struct Pushed {
   void push(std::int64_t step, std::vector<std::uint64_t> counts, Search search = Search::none) {
     scene::Stepped stepped;
     stepped.held = held(std::move(counts));
-    stepped.session = "run";
+    stepped.sessions = {scene::session_key("run")};
     stepped.step_seconds = seconds;
     stepped.wasted = search == Search::wasted;
     scene::StepReport& report = stepped.report;
@@ -54,6 +54,7 @@ struct Pushed {
   scene::CountVerdict count(std::int64_t step, const std::vector<std::uint64_t>& counts) {
     scene::CountRecord record{{step, 5, 1, 0}, "run"};
     record.step_seconds = seconds;
+    record.sessions = {scene::session_key("run")};
     for (std::size_t p = 0; p < counts.size(); ++p) {
       record.n += counts[p];
       record.parts.push_back(static_cast<std::int32_t>(p));
@@ -82,7 +83,7 @@ TEST(Ledger, ChargesAStepForTheImbalanceBeforeItOnce) {
   const auto lost = [&scene] { return scene.ledger->terms(0.0).lost_seconds; };
   EXPECT_EQ(in_words(scene.count(1, {5, 3})), "committed after 0");
   EXPECT_EQ(lost(), 0);  // it was computed under 4 and 4
-  EXPECT_EQ(in_words(scene.count(1, {5, 3})), "repeated 1");
+  EXPECT_EQ(in_words(scene.count(1, {5, 3})), "refused stale_step");
   EXPECT_EQ(lost(), 0);
   EXPECT_EQ(in_words(scene.count(2, {5, 3})), "committed after 1");
   EXPECT_DOUBLE_EQ(lost(), 0.2);  // of 1 s, with an imbalance of 1.25
@@ -142,15 +143,15 @@ TEST(Ledger, WhatImbalanceCostsStaysANumber) {
   }
 }
 
-TEST(Ledger, RemembersWhoCommittedTheLastSteps) {
-  constexpr auto kSteps = static_cast<std::int64_t>(scene::Ledger::kRememberedSteps);
+TEST(Ledger, RemembersWhoBroughtTheLastStep) {
   Pushed scene({2, 2});
-  for (std::int64_t step = 1; step <= kSteps; ++step) scene.count(2 * step, {2, 2});
-  EXPECT_EQ(in_words(scene.count(2, {2, 2})), "repeated 1");
-  EXPECT_EQ(in_words(scene.count(0, {2, 2})), "refused stale_step");  // the oldest but these
-  EXPECT_EQ(in_words(scene.count(3, {2, 2})), "refused stale_step");
-  EXPECT_EQ(in_words(scene.count(2 * kSteps, {2, 2})), fmt::format("repeated {}", kSteps));
-  EXPECT_EQ(scene.ledger->totals().steps, kSteps + 1);
+  EXPECT_TRUE(scene.ledger->was_in_last("run", 0));
+  EXPECT_EQ(in_words(scene.count(2, {2, 2})), "committed after 0");
+  EXPECT_EQ(in_words(scene.count(2, {2, 2})), "refused stale_step");
+  EXPECT_TRUE(scene.ledger->was_in_last("run", 2));
+  EXPECT_FALSE(scene.ledger->was_in_last("another", 2));
+  EXPECT_FALSE(scene.ledger->was_in_last("run", 0));
+  EXPECT_EQ(scene.ledger->totals().steps, 2U);
 }
 
 TEST(Ledger, HasTooManyPartsToBeJudgedAlone) {

@@ -112,7 +112,7 @@ class Blocks {
   Json order_of(const Block& block, std::vector<PushSlice>& slices) const {
     Json order{{"seat", block.seat}, {"n", block.rows.size()}, {"dtype", block.is_float32 ? "<f4" : "<f8"}};
     if (block.path == Path::gateway) {
-      order["path"] = "gateway";
+      order["way"] = "endpoint";
       if (comm_.rank() == 0) slices.push_back(received(block, block.rows));
       return order;
     }
@@ -123,7 +123,7 @@ class Blocks {
     const auto rank = static_cast<std::size_t>(comm_.rank());
     const std::uint64_t first = std::accumulate(counts.begin(), counts.begin() + comm_.rank(), std::uint64_t{0});
     if (block.path != Path::held) order["counts"] = counts;
-    order.update({{"path", block.path == Path::direct ? "direct" : "shared"}, {"number", 1}});
+    order.update({{"way", block.path == Path::direct ? "sockets" : "shared-memory"}, {"number", 1}});
     if (block.path == Path::direct || std::ranges::count(block.by_socket, comm_.rank()) > 0) {
       std::vector<std::size_t> rows;
       for (const std::size_t k : of_rank[rank]) rows.push_back(block.rows[k]);
@@ -230,10 +230,10 @@ class Driver {
   // By one client, all rows in order, by `path`; rows with ids can't be found by the particles held, and are listed.
   Response push(const Particles& particles, std::int64_t step, const std::string& session = "s") {
     const Path way = path == Path::held && !particles.ids.empty() ? Path::listed : path;
-    return push(particles, {all_rows(particles, way)}, step, !particles.ids.empty(), 0, {{"session", session}});
+    return push(particles, {all_rows(particles, way)}, step, !particles.ids.empty(), 1, {{"session", session}});
   }
 
-  // By seats; 0: by one client that is none. more: fields of the order.
+  // more: fields of the order.
   Response push(const Particles& particles, std::vector<Block> blocks, std::int64_t step, bool ids, int seats,
                 const Json& more = Json::object()) {
     Json request{{"command", "push"}, {"scene", scene_},         {"session", "s"},

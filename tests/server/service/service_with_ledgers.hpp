@@ -71,12 +71,12 @@ class Service {
     const api::CommandInfo* info = api::find_command(command);
     if (info != nullptr && info->runs_on == api::RunsOn::ledger) return root() ? answer(scene, request) : Response();
     if (command == "push") {
-      if (const auto number = repeated(scene, request))
-        return root() ? complete(api::repeated(*ledgers_.find(scene), *number)) : Response();
+      if (const std::string report = repeated(scene, request); !report.empty())
+        return root() ? api::done(Json::parse(report)) : Response();
       add_terms(scene, request);
     }
     Response response = service_.execute(request, std::move(slices), terms);
-    if (response.change) take_change(response);
+    if (response.change) take_change(response, request.value("session", "s"));
     if (command == "scene.create" && root() && response.status.ok())
       response.json = api::describe(*ledgers_.find(scene), comm_.size()).json;
     return response;
@@ -91,13 +91,11 @@ class Service {
     return complete(api::answer_from(*ledger, request, comm_.size()));
   }
 
-  std::optional<std::uint64_t> repeated(const std::string& scene, const Json& request) {
+  // The answer to who brings the last step again; else "".
+  std::string repeated(const std::string& scene, const Json& request) {
     const scene::Ledger* ledger = ledgers_.find(scene);  // none on the other ranks
-    std::optional<std::uint64_t> number;
-    if (ledger != nullptr) number = ledger->repeated(request.at("session"), request.at("step"));
-    std::uint64_t one_more = number ? *number + 1 : 0;
-    comm_.all_max({&one_more, 1});
-    return one_more > 0 ? std::optional(one_more - 1) : std::nullopt;
+    const bool again = ledger != nullptr && ledger->was_in_last(request.value("session", "s"), request.at("step"));
+    return everywhere(again ? api::repeated(*ledger) : "");
   }
 
   void add_terms(const std::string& scene, Json& request) {
@@ -120,7 +118,9 @@ class Service {
     return text;
   }
 
-  void take_change(Response& response) {
+  void take_change(Response& response, const std::string& session) {
+    if (auto* stepped = std::get_if<scene::Stepped>(&response.change->event))
+      stepped->sessions = {scene::session_key(session)};
     const scene::Ledger* ledger = ledgers_.find(response.change->scene);
     const Json previous_step = ledger != nullptr && ledger->now().step ? Json(*ledger->now().step) : Json();
     const scene::StepReport* report = ledgers_.take(*response.change, ++incarnations_);

@@ -404,7 +404,7 @@ TEST(Call, RoundTripWithArraysAndNotices) {
   }
   EXPECT_EQ(notices, (std::vector<std::string>(3, "waiting for 2")));
   EXPECT_EQ(client->call("assign", "[1]").status().code(), Code::invalid_argument);
-  EXPECT_EQ(client->call("push.begin", "{}").status().code(), Code::unsupported);
+  EXPECT_EQ(client->call("push", "{}").status().code(), Code::unsupported);
 }
 
 TEST(Call, FailuresKeepCodeMessageAndHint) {

@@ -35,14 +35,10 @@ Json report(int step) {
   return {{"report", {{"scene", "s"}, {"step", step}, {"n", 30}, {"reason", ""}}}, {"cuts", told_cuts().json}};
 }
 
-// A push.begin and its slice.
 Received receive_push(Peer& peer) {
-  auto begin = peer.receive();
-  EXPECT_TRUE(begin);
-  if (begin && begin->json.value("n", 0) > 0) {
-    EXPECT_TRUE(peer.receive());
-  }
-  return begin ? *begin : Received{};
+  auto push = peer.receive();
+  EXPECT_TRUE(push);
+  return push ? *push : Received{};
 }
 
 // The scene's end, and the connection's.
@@ -74,7 +70,6 @@ TEST(Seat, SendsItsOwnRowsAndIsToldWhatLeaves) {
     got.push_back(*peer.receive());
     peer.reply(got.back(), seat_reply(4, 6));
     got.push_back(*peer.receive());
-    got.push_back(*peer.receive());
     peer.reply(got[1], report(7), told_cuts().arrays);
     answer_close(peer, &got);
   });
@@ -95,22 +90,22 @@ TEST(Seat, SendsItsOwnRowsAndIsToldWhatLeaves) {
     EXPECT_EQ(result->changes.size(), 3U);
   }
   service.stop();
-  ASSERT_EQ(got.size(), 4U);
+  ASSERT_EQ(got.size(), 3U);
   EXPECT_EQ(got[0].json["seat"], 1);
   EXPECT_EQ(got[0].json["seats"], 3);
   EXPECT_FALSE(got[0].json.contains("generation"));
-  EXPECT_EQ(got[1].json["command"], "push.begin");
-  EXPECT_EQ(got[1].json["path"], "gateway");
+  EXPECT_EQ(got[1].json["command"], "push");
+  EXPECT_EQ(got[1].json["way"], "endpoint");
   EXPECT_EQ(got[1].json["n"], 3);
   EXPECT_EQ(got[1].json["ids"], true);
   EXPECT_EQ(got[1].json["step"], 7);
   EXPECT_EQ(got[1].json["inserted"], 2);
   EXPECT_EQ(got[1].json["removed"], 1);
-  ASSERT_EQ(got[2].arrays.size(), 3U);
-  EXPECT_EQ(got[2].values<double>("x"), kX);
-  EXPECT_EQ(got[2].values<double>("y"), kY);
-  EXPECT_EQ(got[2].values<std::int64_t>("id"), kIds);
-  EXPECT_EQ(got[3].json["command"], "scene.close");
+  ASSERT_EQ(got[1].arrays.size(), 3U);
+  EXPECT_EQ(got[1].values<double>("x"), kX);
+  EXPECT_EQ(got[1].values<double>("y"), kY);
+  EXPECT_EQ(got[1].values<std::int64_t>("id"), kIds);
+  EXPECT_EQ(got[2].json["command"], "scene.close");
 }
 
 TEST(Seat, IsTakenAgainWithAHigherGenerationAndTheStepPushedAgain) {

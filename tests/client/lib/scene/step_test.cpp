@@ -444,7 +444,7 @@ class OneRank {
         const auto command = frame->json.value("command", "");
         if (command == "scene.open" || command == "scene.show") peer.reply(*frame, scene_);
         if (command == "scene.close") peer.reply(*frame, protocol::Json::object());
-        if (command == "push.begin") push(peer, *frame, does);
+        if (command == "push") push(peer, *frame, does);
       }
     });
   }
@@ -454,14 +454,13 @@ class OneRank {
     rank_->stop();
   }
 
-  std::vector<std::string> paths;  // of the pushes
+  std::vector<std::string> ways;  // of the pushes
   std::atomic<int> connections = 0;
 
  private:
   void push(Peer& peer, const Received& begin, Does does) {
-    paths.push_back(begin.json.value("path", "gateway"));
-    if (paths.back() == "gateway") {
-      EXPECT_TRUE(peer.receive());
+    ways.push_back(begin.json.value("way", ""));
+    if (ways.back() == "endpoint") {
       peer.reply(begin, {{"report", {{"scene", "s"}, {"step", begin.json["step"]}, {"n", 4}, {"reason", ""}}}});
     } else if (does == Does::nothing) {
       peer.fail(begin, {Code::deadline_exceeded, "the push wasn't whole at its deadline"});
@@ -485,9 +484,9 @@ TEST(Step, AConnectionToARankThatIsLostIsNoticedWithinTheCall) {
     EXPECT_TRUE(scene->step(Positions::rows(x.data(), x.size(), 1)).ok());
   }
   service.stop();
-  ASSERT_GE(service.paths.size(), 2U);
-  EXPECT_NE(service.paths.front(), "gateway");
-  EXPECT_EQ(service.paths.back(), "gateway");
+  ASSERT_GE(service.ways.size(), 2U);
+  EXPECT_NE(service.ways.front(), "endpoint");
+  EXPECT_EQ(service.ways.back(), "endpoint");
 }
 
 TEST(Step, SilentConnectionsToRanksAreReplacedOnceAndThenLeft) {
@@ -501,7 +500,7 @@ TEST(Step, SilentConnectionsToRanksAreReplacedOnceAndThenLeft) {
       EXPECT_EQ(scene->step(Positions::rows(x.data(), x.size(), 1)).ok(), call == 2) << call;
   }
   service.stop();
-  EXPECT_EQ(service.paths.back(), "gateway");
+  EXPECT_EQ(service.ways.back(), "endpoint");
   EXPECT_EQ(service.connections, 2);
 }
 
@@ -626,21 +625,38 @@ TEST(Step, AnotherSceneObjectGoesOnWhereTheFirstEnded) {
   }
 }
 
-// The service answers at push.begin and reads on: the client must neither hang nor lose its place in the stream.
+// The service answers before the rows have come, and reads on: the client must neither hang nor lose its place in the
+// stream.
 TEST(Step, EarlyRefusalOfALargePush) {
-  FakeScene fake = scene_of(3, 7, 7, 20);
-  fake.fault = [](int push) { return push == 0 ? FakeScene::Fault::busy_early : FakeScene::Fault::none; };
-  Session session(fake);
-  StepCaller caller{500000, 3, {}, {}, {}, 20, 7};
-  const Status status = session.scene->step(caller.at(0, true)).status();
-  EXPECT_EQ(status.code(), Code::busy);
-  EXPECT_EQ(status.message(), "held by another");
-  EXPECT_TRUE(session.scene->step(caller.at(0, true)).ok());
-  session.end();
-  EXPECT_EQ(fake.sessions.size(), 1U) << "on the same connection";
+  int connections = 0;
+  FakeService service([&connections](Peer& peer, int) {
+    ++connections;
+    if (!peer.greet(1)) return;
+    peer.reply(*peer.receive(), {{"dims", 3}, {"parts", 1}, {"step", nullptr}});
+    const auto [refused, bytes] = peer.receive_head();
+    peer.fail(refused, {Code::busy, "held by another"});
+    std::vector<char> rows(bytes);
+    peer.read(rows.data(), rows.size());
+    const auto push = peer.receive();
+    if (!push) return;
+    peer.reply(*push, {{"report", {{"scene", "s"}, {"step", 0}, {"n", 500000}, {"reason", ""}}}});
+    peer.receive();
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    auto scene = client->open_scene("s");
+    ASSERT_TRUE(scene.ok());
+    StepCaller caller{500000, 3, {}, {}, {}};
+    const Status status = scene->step(caller.at(0, true)).status();
+    EXPECT_EQ(status.code(), Code::busy);
+    EXPECT_EQ(status.message(), "held by another");
+    EXPECT_TRUE(scene->step(caller.at(0, true)).ok());
+  }
+  service.stop();
+  EXPECT_EQ(connections, 1) << "on the same connection";
 }
 
-// A service that refuses and closes without reading the slices: the reason still reaches the caller.
+// A service that refuses and closes without reading the rows: the reason still reaches the caller.
 TEST(Step, RefusalAndCloseWhileTheClientSends) {
   for (const bool tcp : {false, true}) {
     FakeService service(
@@ -649,10 +665,8 @@ TEST(Step, RefusalAndCloseWhileTheClientSends) {
           auto open = peer.receive();
           if (!open) return;
           peer.reply(*open, {{"dims", 3}, {"parts", 1}});
-          const auto begin = peer.receive();
-          if (!begin) return;
-          peer.fail(*begin, {Code::too_large, "too much", "send less"});
-          std::vector<char> some(1U << 20U);  // so that the client is in the middle of its slice
+          peer.fail(peer.receive_head().first, {Code::too_large, "too much", "send less"});
+          std::vector<char> some(1U << 20U);  // so that the client is in the middle of its rows
           peer.read(some.data(), some.size());
           ::usleep(20000);
         },
@@ -673,7 +687,7 @@ TEST(Step, AServiceThatStopsReadingMeetsTheDeadline) {
     auto open = peer.receive();
     if (!open) return;
     peer.reply(*open, {{"dims", 3}, {"parts", 1}});
-    peer.receive();
+    peer.receive_head();
     ::sleep(4);
   });
   auto client = Client::connect({.endpoint = service.endpoint()});

@@ -64,7 +64,7 @@ TEST(Ways, RowsGoStraightToTheRanksThatOwnThem) {
   const std::vector<std::int64_t> even{0, 1, 2, 3, 4, 5};  // nothing is known of the cuts
   for (const int step : {0, 1}) {
     const Json& begin = service.begun[static_cast<std::size_t>(step)];
-    EXPECT_EQ(begin["path"], "direct");
+    EXPECT_EQ(begin["way"], "sockets");
     EXPECT_EQ(begin["ids"], true);
     EXPECT_EQ(begin["n"], 6);
     EXPECT_EQ(begin["counts"], Json({3, 3}));
@@ -90,7 +90,7 @@ TEST(Ways, RowsThatAreIdsAreReadWhereTheyAre) {
   TwoRanks service;
   push_rows(service, 2, Path::automatic, {});
   for (std::size_t step : {0U, 1U}) {
-    EXPECT_EQ(service.begun[step]["path"], "shared");
+    EXPECT_EQ(service.begun[step]["way"], "shared-memory");
     EXPECT_FALSE(service.begun[step].contains("counts"));
     EXPECT_EQ(service.shared[step].size(), 2U);
     for (std::size_t row = 0; row < 6; ++row)
@@ -104,7 +104,7 @@ TEST(Ways, OfOtherRowsAListTellsWhoReadsWhich) {
     TwoRanks service;
     push_rows(service, 2, Path::automatic, kFarIds, {.seat = 0, .seats = seated ? 2 : 1});
     for (std::size_t step : {0U, 1U}) {
-      EXPECT_EQ(service.begun[step]["path"], "shared");
+      EXPECT_EQ(service.begun[step]["way"], "shared-memory");
       EXPECT_EQ(service.begun[step]["counts"], Json({3, 3}));
       EXPECT_FALSE(service.begun[step].contains("sockets"));
       EXPECT_EQ(service.shared[step]["id"], kFarIds);
@@ -121,7 +121,7 @@ TEST(Ways, ARankOnAnotherHostGetsItsRowsOverItsSocket) {
               with_ids ? std::span<const std::int64_t>(kFarIds) : std::span<const std::int64_t>());
     for (const int step : {0, 1}) {
       const Json& begin = service.begun[static_cast<std::size_t>(step)];
-      EXPECT_EQ(begin["path"], "shared");
+      EXPECT_EQ(begin["way"], "shared-memory");
       EXPECT_EQ(begin["sockets"], Json({1}));
       EXPECT_EQ(begin["counts"], Json({3, 3}));
       EXPECT_EQ(begin["ids"], true);  // rows in memory have numbers, those of a socket don't
@@ -139,7 +139,7 @@ TEST(Ways, FewRowsGoThroughTheEndpointWhereMemoryIsNotShared) {
   TwoRanks service(true);
   service.scene = {{"step", 3}, {"ids", true}};
   push_rows(service, 1, Path::automatic, kFarIds);
-  EXPECT_EQ(service.begun[0]["path"], "gateway");
+  EXPECT_EQ(service.begun[0]["way"], "endpoint");
 }
 
 }  // namespace

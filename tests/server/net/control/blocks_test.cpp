@@ -32,7 +32,6 @@ class OneScene final : public Engine {
       scene::Stepped stepped;
       stepped.report.step = last_step = order.request["step"].get<std::int64_t>();
       stepped.report.positions_step = last_step;
-      stepped.session = order.request["session"];
       stepped.held = {.n = 10, .weights = weights, .ids = ids, .epoch = 3};
       stepped.held.loads = std::make_shared<const partition::LoadSummary>();
       answer.change = {"s", std::move(stepped)};
@@ -101,7 +100,7 @@ class Blocks : public ::testing::Test {
     team_[k] = Client::on_unix(path());
     EXPECT_EQ(team_[k].hello("seat", kSessions[k]).json["data"].size(), 3U);
     if (team_[k].call("scene.create", {{"scene", "s"}}).type != FrameType::reply) return;
-    team_[k].begin(kSessions[k], 7, 0);
+    team_[k].push(7, 0);
     EXPECT_EQ(team_[k].receive_but_notices().json["report"]["step"], 7);
     engine_.pushed.clear();
   }
@@ -116,24 +115,19 @@ class Blocks : public ::testing::Test {
               std::int64_t step = 8) {
     std::uint64_t n = 0;
     for (const std::uint64_t count : counts) n += count;
-    Json begin{{"path", "direct"}, {"counts", counts}, {"ids", true}};
+    Json begin{{"way", "sockets"}, {"counts", counts}, {"ids", true}};
     begin.update(more);
-    team_[k].begin(kSessions[k], step, n, begin);
+    team_[k].push(step, n, begin);
   }
-  // By way of rank 0.
-  void gateway(int k, std::uint64_t n, Json more = Json::object(), std::int64_t step = 8) {
-    more["ids"] = true;
-    team_[k].begin(kSessions[k], step, n, more);
-    Json slice{{"command", "push.slice"},
-               {"scene", "s"},
-               {"session", kSessions[k]},
-               {"step", step},
-               {"attempt", more.value("attempt", 1)},
-               {"count", n}};
+  // Through the endpoint.
+  void endpoint(int k, std::uint64_t n, const Json& more = Json::object(), std::int64_t step = 8) {
+    Json push{{"command", "push"}, {"scene", "s"}, {"step", step}, {"attempt", 1}, {"n", n}, {"ids", true}};
+    push.update(more);
     const bool weights = more.value("weights", false);
     for (const auto& [name, dtype] : {std::pair("x", "<f8"), {"y", "<f8"}, {"w", "<f8"}, {"id", "<i8"}})
-      if (*name != 'w' || weights) slice["arrays"].push_back({{"name", name}, {"dtype", dtype}, {"shape", {n}}});
-    if (n > 0) team_[k].send(FrameType::request, slice, std::string((weights ? 32 : 24) * n, '\0'));
+      if (n > 0 && (*name != 'w' || weights))
+        push["arrays"].push_back({{"name", name}, {"dtype", dtype}, {"shape", {n}}});
+    team_[k].send(FrameType::request, push, std::string((weights ? 32 : 24) * n, '\0'));
   }
   void whole(int rank, std::uint64_t number, const Status& status = {}) {
     loop_.run([&] { control_->slice_reported(rank, {number, 0, status.ok(), status}); });
@@ -189,8 +183,8 @@ TEST_F(Blocks, AStepIsOrderedWhenEveryRankHasWhatEverySeatBrings) {
   ASSERT_EQ(pushed(), 1U);
   const Json& order = engine_.pushed[0];
   const Json blocks{
-      {{"seat", 0}, {"n", 5}, {"path", "direct"}, {"dtype", "<f4"}, {"counts", {4, 0, 1}}, {"number", first}},
-      {{"seat", 1}, {"n", 5}, {"path", "direct"}, {"dtype", "<f8"}, {"counts", {0, 3, 2}}, {"number", second}}};
+      {{"seat", 0}, {"n", 5}, {"way", "sockets"}, {"dtype", "<f4"}, {"counts", {4, 0, 1}}, {"number", first}},
+      {{"seat", 1}, {"n", 5}, {"way", "sockets"}, {"dtype", "<f8"}, {"counts", {0, 3, 2}}, {"number", second}}};
   EXPECT_EQ(order["blocks"], blocks);
   for (const auto& [name, value] : std::map<std::string, Json>{
            {"n", 10}, {"seats", 2}, {"ids", true}, {"weights", false}, {"step_seconds", 0.5}, {"drifted", 4}})
@@ -215,8 +209,8 @@ TEST_F(Blocks, CutsAreToldToThoseThatAskForThem) {
   for (const auto& [first, second, ordered] :
        {std::array{some, Json(), some}, {some, some, some}, {some, none, no_cuts}, {none, some, no_cuts}}) {
     const auto step = static_cast<std::int64_t>(8 + pushed());
-    gateway(0, 10, {{"cuts_known", first}}, step);
-    gateway(1, 0, {{"cuts_known", second}}, step);
+    endpoint(0, 10, {{"cuts_known", first}}, step);
+    endpoint(1, 0, {{"cuts_known", second}}, step);
     for (int k = 0; k < 2; ++k) {
       const Received answer = team_[k].receive_but_notices();
       EXPECT_EQ(answer.json["report"]["step"], step);
@@ -234,8 +228,8 @@ TEST_F(Blocks, OneWithoutRowsNeedNotSayWeights) {
     SCOPED_TRACE(empty);
     join();
     const std::int64_t step = engine_.last_step + 1;
-    gateway(empty, 0, Json::object(), step);
-    gateway(1 - empty, 10, {{"weights", true}, {"drifted", 2}}, step);
+    endpoint(empty, 0, Json::object(), step);
+    endpoint(1 - empty, 10, {{"weights", true}, {"drifted", 2}}, step);
     all_done(step);
     const Json& order = engine_.pushed.back();
     EXPECT_EQ(order["weights"], true);
@@ -248,9 +242,9 @@ TEST_F(Blocks, OneWithoutRowsNeedNotSayWeights) {
   }
 }
 
-TEST_F(Blocks, EachSeatTakesItsOwnPath) {
+TEST_F(Blocks, EachSeatTakesItsOwnWay) {
   join();
-  const Json shared{{"path", "shared"}, {"memory", memory_of({"x", "y", "id", "row"})}};
+  const Json shared{{"way", "shared-memory"}, {"memory", memory_of({"x", "y", "id", "row"})}};
   const auto with = [&](Json more) {
     more.update(shared);
     return more;
@@ -258,7 +252,7 @@ TEST_F(Blocks, EachSeatTakesItsOwnPath) {
   direct(0, {4, 0, 1}, with({{"sockets", {2, 1}}}));
   refused(0, "invalid_argument", "sockets");
   direct(0, {4, 0, 1}, with({{"sockets", {1, 2}}}));
-  gateway(1, 5);
+  endpoint(1, 5);
   settle();
   // Rank 0 reads its rows from memory, and there are none for rank 1.
   ASSERT_EQ(plane_.opened.size(), 1U);
@@ -268,13 +262,13 @@ TEST_F(Blocks, EachSeatTakesItsOwnPath) {
   all_done();
   const Json& order = engine_.pushed.at(0);
   const Json& block = order["blocks"][0];
-  EXPECT_EQ(block["path"], "shared");
+  EXPECT_EQ(block["way"], "shared-memory");
   EXPECT_EQ(block["session"], kSessions[0]);
   EXPECT_EQ(block["memory"], shared["memory"]);
   EXPECT_EQ(block["counts"], Json({4, 0, 1}));
   EXPECT_EQ(block["sockets"], Json({1, 2}));
   EXPECT_EQ(block["number"], plane_.opened[0].ticket.number);
-  EXPECT_EQ(order["blocks"][1], (Json{{"seat", 1}, {"n", 5}, {"path", "gateway"}, {"dtype", "<f8"}}));
+  EXPECT_EQ(order["blocks"][1], (Json{{"seat", 1}, {"n", 5}, {"way", "endpoint"}, {"dtype", "<f8"}}));
   ASSERT_EQ(engine_.slices.size(), 1U);
   EXPECT_TRUE(engine_.slices[0].seat == 1 && engine_.slices[0].count == 5);
   for (int k = 0; k < 2; ++k) direct(k, {4, 0, 1}, with(Json::object()), 9);
@@ -289,7 +283,7 @@ TEST_F(Blocks, ANewerAttemptReplacesTheOlderOfTheSameSeat) {
   direct(0, {4, 0, 1}, {{"attempt", 3}});
   refused(0, "aborted", "newer attempt");
   direct(0, {4, 0, 1}, {{"attempt", 2}});
-  refused(0, "busy", "already");
+  refused(0, "aborted", "attempt 3 of step 8 is open");
   settle();
   ASSERT_EQ(plane_.opened.size(), 2U);
   ASSERT_EQ(plane_.dropped.size(), 2U);
@@ -300,18 +294,18 @@ TEST_F(Blocks, ANewerAttemptReplacesTheOlderOfTheSameSeat) {
   settle();
   for (const int rank : {1, 2}) whole(rank, plane_.opened[2].ticket.number);
   EXPECT_EQ(pushed(), 0U);
-  gateway(0, 5, {{"attempt", 4}});
+  endpoint(0, 5, {{"attempt", 4}});
   refused(0, "aborted", "newer attempt");
   all_done();
   ASSERT_EQ(pushed(), 1U);
-  EXPECT_EQ(engine_.pushed[0]["blocks"][0]["path"], "gateway");
-  EXPECT_EQ(engine_.pushed[0]["blocks"][1]["path"], "direct");
+  EXPECT_EQ(engine_.pushed[0]["blocks"][0]["way"], "endpoint");
+  EXPECT_EQ(engine_.pushed[0]["blocks"][1]["way"], "sockets");
 }
 
 TEST_F(Blocks, WhatSeatsBringTogetherIsAsMuchAsBefore) {
   join();
-  gateway(0, 6);
-  gateway(1, 5);
+  endpoint(0, 6);
+  endpoint(1, 5);
   for (int k = 0; k < 2; ++k) refused(k, "not_conserved", "11 particles brought, scene 's' has 10");
   // When all have begun, before rows have come.
   direct(0, {4, 0, 1}, {{"attempt", 2}, {"inserted", 2}});
@@ -319,8 +313,8 @@ TEST_F(Blocks, WhatSeatsBringTogetherIsAsMuchAsBefore) {
   for (int k = 0; k < 2; ++k) refused(k, "not_conserved", "of which 1 go and 2 come");
   settle();
   EXPECT_EQ(plane_.dropped.size(), 2U);
-  gateway(0, 6, {{"attempt", 3}, {"inserted", 2}});
-  gateway(1, 5, {{"attempt", 3}, {"removed", 1}});
+  endpoint(0, 6, {{"attempt", 3}, {"inserted", 2}});
+  endpoint(1, 5, {{"attempt", 3}, {"removed", 1}});
   all_done();
   EXPECT_EQ(engine_.pushed.at(0)["n"], 11);
   EXPECT_EQ(engine_.pushed.at(0)["inserted"], 2);
@@ -337,7 +331,7 @@ TEST_F(Blocks, AtAFirstPushAllHaveWeightsOrNone) {
   direct(0, {4, 0, 1}, {{"weights", true}});
   direct(1, {0, 3, 2});
   for (int k = 0; k < 2; ++k) refused(k, "invalid_argument", "weights");
-  for (int k = 0; k < 2; ++k) gateway(k, 5, {{"weights", true}, {"attempt", 2}});
+  for (int k = 0; k < 2; ++k) endpoint(k, 5, {{"weights", true}, {"attempt", 2}});
   all_done();
   EXPECT_EQ(engine_.pushed.at(0)["weights"], true);
 }
@@ -363,8 +357,8 @@ TEST_F(Blocks, WhatDoesNotFitTheSceneIsRefusedAlone) {
   refused(0, "not_found", "made anew");
   direct(0, mine, Json::object(), 9);
   refused(0, "invalid_argument", "the others push step 8");
-  direct(0, mine, Json::object(), 7);
-  refused(0, "stale_step", "step 7");
+  direct(0, mine, Json::object(), 6);
+  refused(0, "stale_step", "step 6");
   settle();
   EXPECT_EQ(plane_.dropped.size(), 9U);  // the other seat's is not among them
   EXPECT_EQ(plane_.opened.size(), 1U);
@@ -407,8 +401,7 @@ TEST_F(Blocks, OneClientPushesStraightToTheRanks) {
   whole(2, number);
   EXPECT_EQ(team_[0].receive_but_notices().json["report"]["step"], 8);
   const Json& order = engine_.pushed.at(0);
-  EXPECT_EQ(order["seats"], 0);
-  EXPECT_EQ(order["session"], kSessions[0]);
+  EXPECT_EQ(order["seats"], 1);
   EXPECT_EQ(order["ids"], false);
   EXPECT_EQ(order["blocks"][0]["number"], number);
   EXPECT_EQ(order["blocks"][0]["seat"], 0);
@@ -423,9 +416,9 @@ TEST_F(Blocks, WithoutAListOfRowsMemoryIsOfTheParticlesHeld) {
   connect(0);
   std::int64_t step = 8;
   const auto push = [&](const std::vector<const char*>& names, const Json& more) {
-    Json begin{{"path", "shared"}, {"memory", memory_of(names)}};
+    Json begin{{"way", "shared-memory"}, {"memory", memory_of(names)}};
     begin.update(more);
-    team_[0].begin(kSessions[0], step, 10, begin);
+    team_[0].push(step, 10, begin);
     const Received answer = team_[0].receive_but_notices();
     step += answer.type == FrameType::reply ? 1 : 0;
     return answer.code();

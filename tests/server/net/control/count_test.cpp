@@ -33,25 +33,16 @@ class Count : public ::testing::Test {
     anna_.call("scene.open", {{"scene", scene}});
   }
   // Ten particles.
-  static void begin(Client& client, const char* session, std::int64_t step, const Json& more = Json::object()) {
-    client.begin(session, step, 10, more);
-  }
-  static void finish(Client& client, const char* session, std::int64_t step) {
-    client.slice(session, step, 10);
+  static void push(Client& client, std::int64_t step, const Json& more = Json::object()) {
+    client.push(step, 10, more);
     EXPECT_EQ(client.receive_but_notices().json["report"]["step"], step);
-  }
-  void push(Client& client, const char* session, std::int64_t step) {
-    begin(client, session, step);
-    finish(client, session, step);
   }
   // With weights, all of them 0, which the engine doesn't heed.
   void push_weighted(std::int64_t step) {
-    begin(anna_, kAnna, step, {{"weights", true}});
-    Json slice{
-        {"command", "push.slice"}, {"scene", "s"}, {"session", kAnna}, {"step", step}, {"attempt", 1}, {"count", 10}};
+    Json json{{"command", "push"}, {"scene", "s"}, {"step", step}, {"n", 10}, {"weights", true}};
     for (const char* name : {"x", "y", "w"})
-      slice["arrays"].push_back({{"name", name}, {"dtype", "<f8"}, {"shape", {10}}});
-    anna_.send(FrameType::request, slice, std::string(240, '\0'));
+      json["arrays"].push_back({{"name", name}, {"dtype", "<f8"}, {"shape", {10}}});
+    anna_.send(FrameType::request, json, std::string(240, '\0'));
     EXPECT_EQ(anna_.receive_but_notices().json["report"]["step"], step);
   }
   // Ten particles in four parts, by the cuts that the engine has after the first push.
@@ -101,7 +92,7 @@ class Count : public ::testing::Test {
 };
 
 TEST_F(Count, IsAnsweredWithNoOrder) {
-  push(anna_, kAnna, 0);
+  push(anna_, 0);
   const auto executed = service_.engine().executed();
   service_.engine().hold();
   const Received first = count(anna_, record(1));
@@ -131,24 +122,24 @@ TEST_F(Count, IsAnsweredWithNoOrder) {
   EXPECT_EQ(bert_.call("status").json["steps"], 3);
   EXPECT_EQ(service_.engine().executed(), executed);
   service_.engine().release();
-  push(anna_, kAnna, 3);
+  push(anna_, 3);
   EXPECT_EQ(bert_.call("scene.show", kScene).json["positions_step"], 3);
 }
 
 // A step is counted after what was ordered before it, and seen by what is asked behind it.
-TEST_F(Count, WaitsForAnOpenPushAndForChanges) {
-  push(anna_, kAnna, 0);
-  begin(bert_, kBert, 1);
-  bert_.call("status");  // the begin is in
-  send(anna_, encode(record(1)));
-  EXPECT_EQ(anna_.receive().type, FrameType::notice);  // it waits
-  finish(bert_, kBert, 1);
-  EXPECT_EQ(anna_.receive_but_notices().code(), "stale_step");
+TEST_F(Count, WaitsForChangesAndIsRefusedWhileAnotherPushes) {
+  push(anna_, 0);
+  bert_.begin(1, 10);
+  while (anna_.call("count", {{"scene", "s"}, {"step", 1}}).code() != "busy") {  // until that is in
+  }
+  EXPECT_EQ(count(anna_, record(1)).code(), "busy");
+  bert_.finish(10);
+  EXPECT_EQ(bert_.receive_but_notices().json["report"]["step"], 1);
+  EXPECT_EQ(count(anna_, record(1)).code(), "stale_step");
   expect_committed(count(anna_, record(2)), 2);
   service_.engine().hold();
   Client carl = service_.client("carl", "00000000000000cc");
-  begin(carl, "00000000000000cc", 3);
-  carl.slice("00000000000000cc", 3, 10);
+  carl.push(3, 10);
   service_.engine().wait_for_orders(1);
   send(anna_, encode(record(4)));
   EXPECT_EQ(anna_.receive().type, FrameType::notice);
@@ -163,7 +154,7 @@ TEST_F(Count, WaitsForAnOpenPushAndForChanges) {
 TEST_F(Count, WhatIsNotCommittedChangesNothing) {
   EXPECT_EQ(count(anna_, record(0)).json["send"], "first positions");
   EXPECT_EQ(bert_.call("history", kScene).json["total"], 0);
-  push(anna_, kAnna, 0);
+  push(anna_, 0);
   expect_committed(count(anna_, record(1, [](CountRecord& one) { one.id_sum = 0xff; })), 1);
   const Json before = told();
   const std::vector<std::tuple<Change, std::string, std::string>> refused{
@@ -193,14 +184,12 @@ TEST_F(Count, WhatIsNotCommittedChangesNothing) {
   EXPECT_EQ(again.json["report"]["step"], 1);
   EXPECT_EQ(count(bert_, record(1)).code(), "stale_step") << "of another session";
   EXPECT_EQ(told(), before);
-  push(anna_, kAnna, 2);
+  push(anna_, 2);
 }
 
 TEST_F(Count, AnEveryStepSceneHasItsPositionsSent) {
   create("e", {{"positions", "every-step"}});
-  begin(anna_, kAnna, 0, {{"scene", "e"}});
-  anna_.slice(kAnna, 0, 10, {{"scene", "e"}});
-  EXPECT_EQ(anna_.receive_but_notices().json["report"]["step"], 0);
+  push(anna_, 0, {{"scene", "e"}});
   EXPECT_TRUE(count(anna_, record(1), {{"scene", "e"}}).json.contains("send"));
   EXPECT_EQ(bert_.call("scene.show", {{"scene", "e"}}).json["step"], 0);
 }
@@ -251,7 +240,7 @@ TEST_F(Count, ARecordThatIsWrongIsRefused) {
 }
 
 TEST_F(Count, WhatContradictsItselfEndsTheConnection) {
-  push(anna_, kAnna, 0);
+  push(anna_, 0);
   const std::string bulk = encode(record(1));
   std::string text = R"({"command":"count","scene":"s"})";
   std::string wrong_sum = frame(FrameType::request, 9, text, bulk, true);
@@ -278,7 +267,7 @@ TEST_F(Count, WhatContradictsItselfEndsTheConnection) {
 class SeatCount : public Count {
  protected:
   SeatCount() {
-    push(anna_, kAnna, 0);
+    push(anna_, 0);
     anna_.call("scene.open", {{"scene", "s"}, {"seat", 0}, {"seats", 2}});
     bert_.call("scene.open", {{"scene", "s"}, {"seat", 1}, {"seats", 2}});
   }
@@ -330,7 +319,7 @@ TEST_F(SeatCount, AFaultHasAStepAndACodeThatIsKnown) {
 class Question : public Count {
  protected:
   Question() {
-    push(anna_, kAnna, 0);
+    push(anna_, 0);
     expect_committed(count(anna_, record(1)), 1);
   }
   // It waits once its notice has come.
@@ -351,7 +340,7 @@ TEST_F(Question, WaitsForThePositionsOfTheNextStepWhichIsSent) {
   const Received sent = count(anna_, record(2));
   EXPECT_NE(sent.json.value("send", "").find("question"), std::string::npos) << sent.json;
   EXPECT_EQ(orders(), kBefore);
-  push(anna_, kAnna, 2);
+  push(anna_, 2);
   const Received answer = bert_.receive_but_notices();
   EXPECT_EQ(answer.request, number);
   EXPECT_EQ(answer.json["echo"], "assign");
@@ -408,7 +397,7 @@ TEST_F(Question, EndsWithItsSceneAndWithTheService) {
   EXPECT_EQ(anna_.call("scene.drop", kScene).type, FrameType::reply);
   bert_.receive_but_notices();  // the engine's answer, whatever it is
   create("s", {{"positions", "when-needed"}});
-  push(anna_, kAnna, 0);
+  push(anna_, 0);
   expect_committed(count(anna_, record(1)), 1);
   ask("assign");
   anna_.call("shutdown");
@@ -422,7 +411,7 @@ TEST_F(Question, ARebalanceOfHeldPositionsIsRefused) {
   EXPECT_EQ(bert_.call("rebalance", {{"scene", "s"}, {"held", true}, {"dry_run", true}}).json["echo"], "rebalance");
   ask("rebalance");
   EXPECT_TRUE(count(anna_, record(2)).json.contains("send"));
-  push(anna_, kAnna, 2);
+  push(anna_, 2);
   EXPECT_EQ(bert_.receive_but_notices().json["echo"], "rebalance");
 }
 

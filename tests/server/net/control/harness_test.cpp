@@ -81,7 +81,6 @@ struct FakeEngine::State {
 
   static scene::Stepped push(const Json& request, const scene::SceneOptions& options) {
     scene::Stepped stepped;
-    stepped.session = request.value("session", "");
     stepped.report.step = request.value("step", std::int64_t{-1});
     stepped.report.positions_step = stepped.report.step;
     stepped.report.n = stepped.held.n = request.value("n", std::uint64_t{0});
@@ -305,27 +304,53 @@ Received Client::hello(const std::string& name, const std::string& session, cons
   return receive();
 }
 
-void Client::begin(const std::string& session, std::int64_t step, std::uint64_t n, Json more) {
-  Json json{{"scene", "s"}, {"session", session}, {"step", step}, {"attempt", 1}, {"n", n}};
-  json.update(more);
-  request("push.begin", std::move(json));
-}
+namespace {
 
-std::string Client::slice(const std::string& session, std::int64_t step, std::uint64_t count, Json more, bool checked) {
-  Json json{{"command", "push.slice"}, {"scene", "s"}, {"session", session}, {"step", step}, {"attempt", 1},
-            {"count", count}};
+using Columns = std::vector<std::pair<const char*, const char*>>;  // names and types
+const Columns kAxes{{"x", "<f8"}, {"y", "<f8"}};
+
+std::string bulk_of(const Columns& columns, std::uint64_t n) {
   std::string bulk;
-  for (const char* axis : {"x", "y"}) {
-    json["arrays"].push_back({{"name", axis}, {"dtype", "<f8"}, {"shape", {count}}});
-    for (std::uint64_t i = 0; i < count; ++i) {
+  for (const auto& [name, dtype] : columns)
+    for (std::uint64_t i = 0; i < n; ++i) {
       const auto value = static_cast<double>(i);
-      bulk.append(reinterpret_cast<const char*>(&value), sizeof(value));
+      const bool is_id = std::string(name) == "id";
+      bulk.append(is_id ? reinterpret_cast<const char*>(&i) : reinterpret_cast<const char*>(&value), sizeof value);
     }
-  }
-  json.update(more);
-  send(FrameType::request, std::move(json), bulk, checked);
   return bulk;
 }
+
+Json push_of(std::int64_t step, const Json& more, std::uint64_t& n, Columns& columns) {
+  Json json{{"command", "push"}, {"scene", "s"}, {"step", step}, {"attempt", 1}, {"n", n}};
+  json.update(more);
+  if (json["n"].is_number_unsigned() || json["n"].is_number_integer()) n = json["n"].get<std::uint64_t>();
+  if (json.value("weights", false)) columns.emplace_back("w", "<f8");
+  if (json.value("ids", false)) columns.emplace_back("id", "<i8");
+  if (n == 0 || more.contains("way")) columns.clear();
+  for (const auto& [name, dtype] : columns)
+    json["arrays"].push_back({{"name", name}, {"dtype", dtype}, {"shape", {n}}});
+  return json;
+}
+
+}  // namespace
+
+std::string Client::push(std::int64_t step, std::uint64_t n, const Json& more, bool checked) {
+  Columns columns = kAxes;
+  const Json json = push_of(step, more, n, columns);
+  const std::string bulk = bulk_of(columns, n);
+  send(FrameType::request, json, bulk, checked);
+  return bulk;
+}
+
+void Client::begin(std::int64_t step, std::uint64_t n, const Json& more) {
+  Columns columns = kAxes;
+  const Json json = push_of(step, more, n, columns);
+  const std::string bulk = bulk_of(columns, n);
+  const std::string whole = frame(FrameType::request, next_++, json.dump(), bulk);
+  send_bytes(whole.substr(0, whole.size() - bulk.size()));
+}
+
+void Client::finish(std::uint64_t n) { send_bytes(bulk_of(kAxes, n)); }
 
 void run_until(asio::io_context& context, const std::function<bool()>& holds) {
   const TimePoint late = now() + std::chrono::seconds(rcb::testing::kWaitSeconds);

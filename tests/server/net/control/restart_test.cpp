@@ -35,7 +35,7 @@ class Restart : public ::testing::Test {
     ledgers.take({name, scene::Created{options, {}}}, 0xabc);
     for (int step = 0; step < steps; ++step) {
       scene::Stepped stepped = ranks.push(world.set, step, ledgers.find(name)->terms({}));
-      stepped.session = kAnna;
+      stepped.sessions = {scene::session_key(kAnna)};
       hash_ = wire::hex64(stepped.held.hash);
       ledgers.take({name, std::move(stepped)}, 0);
       world.move(random);
@@ -55,9 +55,9 @@ class Restart : public ::testing::Test {
     for (const Json& scene : list.json.at("scenes")) names.push_back(scene["scene"]);
     return names;
   }
-  // The code that a push.begin of "s" is refused with.
+  // The code that a push of "s" is refused with.
   std::string refused(Client& client, std::int64_t step, std::uint64_t n, const Json& more) const {
-    client.begin(kAnna, step, n, more);
+    client.push(step, n, more);
     return client.receive_but_notices().code();
   }
   Json show(Client& client) const { return client.call("scene.show", {{"scene", "s"}}).json; }
@@ -138,8 +138,7 @@ TEST_F(Restart, BringsBackNothingThatWasDropped) {
   EXPECT_EQ(scenes_in(client), std::vector<std::string>{"made"});
   const Json shown = client.call("scene.show", {{"scene", "made"}}).json;
   EXPECT_TRUE(shown["step"].is_null());
-  client.begin(kAnna, 0, 10, {{"scene", "made"}});
-  client.slice(kAnna, 0, 10, {{"scene", "made"}});
+  client.push(0, 10, {{"scene", "made"}});
   EXPECT_EQ(client.receive_but_notices().json["report"]["step"], 0);
 }
 
@@ -150,13 +149,12 @@ TEST_F(Restart, TakesAStepAsIfNothingHadBeen) {
   EXPECT_EQ(refused(client, 5, n_ + 1, Json::object()), "not_conserved");
   EXPECT_EQ(refused(client, 5, n_, {{"incarnation", wire::hex64(0xabd)}}), "not_found");
   EXPECT_EQ(refused(client, 3, n_, Json::object()), "stale_step");
-  client.begin(kAnna, 4, n_);  // its answer may have been lost
+  client.push(4, n_);  // its answer may have been lost
   const Received again = client.receive_but_notices();
   EXPECT_EQ(again.json["repeated"], true) << again.message();
   EXPECT_EQ(again.json["report"]["step"], 4);
   EXPECT_EQ(service->engine().executed(), std::vector<std::string>{"scene.restore"});
-  client.begin(kAnna, 5, n_, {{"incarnation", wire::hex64(0xabc)}});
-  client.slice(kAnna, 5, n_);
+  client.push(5, n_, {{"incarnation", wire::hex64(0xabc)}});
   EXPECT_EQ(client.receive_but_notices().json["report"]["step"], 5);
   const Json after = show(client);
   EXPECT_EQ(after["filled"], true);
@@ -177,8 +175,7 @@ TEST_F(Restart, HasACountSentThatNoPositionsAreBehind) {
   };
   EXPECT_NE(count(3).value("send", "").find("since the service was started"), std::string::npos);
   EXPECT_EQ(count(2)["repeated"], true);
-  client.begin(kAnna, 3, n_);
-  client.slice(kAnna, 3, n_);
+  client.push(3, n_);
   EXPECT_EQ(client.receive_but_notices().json["report"]["step"], 3);
 }
 

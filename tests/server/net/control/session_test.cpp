@@ -145,7 +145,7 @@ TEST(Session, RefusedRequestsLeaveTheConnection) {
   TestService service;
   Client client = service.client("c");
   EXPECT_EQ(client.call("compare", {{"deadline_seconds", -1}}).code(), "invalid_argument");
-  EXPECT_EQ(client.call("push").code(), "unsupported");
+  EXPECT_EQ(client.call("push.begin").code(), "unsupported");
   client.send(FrameType::request, {{"no", "command"}});
   EXPECT_EQ(client.receive().code(), "invalid_argument");
   EXPECT_EQ(client.call("scene.close", {{"scene", "s"}}).code(), "not_found");
@@ -310,7 +310,7 @@ TEST(Session, APushThatWaitsForItsTurnGivesWayToSeatsThatCameMeanwhile) {
   service.engine().hold();
   bert.request("rebalance", {{"scene", "s"}});
   service.engine().wait_for_orders(1);
-  anna.begin(kAnna, 0, 5);
+  anna.push(0, 5);
   EXPECT_EQ(anna.receive().type, FrameType::notice);  // now it waits
   cara.request("scene.open", {{"scene", "s"}, {"seat", 0}, {"seats", 2}});
   while (bert_too.call("scene.list").json["scenes"][0]["holders_count"] != 1) {
@@ -367,7 +367,7 @@ TEST(Session, OneTooManyIsServedWhatTheOwnerNeedsUntilAPlaceIsFree) {
     Client three = service.client("three");
     EXPECT_EQ(three.call("compare").code(), "busy");
     EXPECT_EQ(three.call("scene.create", {{"scene", "s"}}).code(), "busy");
-    three.begin(kAnna, 0, 2);
+    three.push(0, 2);
     EXPECT_EQ(three.receive().code(), "busy");
     EXPECT_EQ(three.call("status").json["sessions"], 3);
     EXPECT_EQ(three.call("scene.list").type, FrameType::reply);
@@ -430,13 +430,12 @@ TEST(Session, FieldsOfTheInsideDontComeFromOutside) {
     EXPECT_EQ(anna.call("rebalance", inside).type, FrameType::reply);
     EXPECT_EQ(service.engine().request(), (Json{{"command", "rebalance"}, {"scene", "s"}}));
   }
-  anna.begin(kAnna, 0, 4, {{"blocks", 7}, {"seats", 3}});
-  anna.slice(kAnna, 0, 4);
+  anna.push(0, 4, {{"blocks", 7}, {"seats", 3}});
   EXPECT_EQ(anna.receive_but_notices().json["report"]["step"], 0);
-  EXPECT_EQ(service.engine().request()["seats"], 0);
+  EXPECT_EQ(service.engine().request()["seats"], 1);
   EXPECT_EQ(service.engine().request()["blocks"],
-            Json::array({{{"seat", 0}, {"n", 4}, {"path", "gateway"}, {"dtype", "<f8"}}}));
-  for (const char* command : {"push", "plan", "nonsense", ""})
+            Json::array({{{"seat", 0}, {"n", 4}, {"way", "endpoint"}, {"dtype", "<f8"}}}));
+  for (const char* command : {"push.begin", "plan", "nonsense", ""})
     EXPECT_EQ(anna.call(command, {{"scene", "s"}, {"blocks", 1}}).code(), "unsupported") << command;
 }
 

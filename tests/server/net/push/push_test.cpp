@@ -16,14 +16,13 @@ using wire::Json;
 
 const std::vector<std::string> kCreated{"scene.create"};
 
-// What Client::slice() sends for four particles.
-Json slice_of_four() {
-  return {{"command", "push.slice"},
+// What Client::push() sends for four particles.
+Json push_of_four() {
+  return {{"command", "push"},
           {"scene", "s"},
-          {"session", kAnna},
           {"step", 0},
           {"attempt", 1},
-          {"count", 4},
+          {"n", 4},
           {"arrays",
            {{{"name", "x"}, {"dtype", "<f8"}, {"shape", {4}}}, {{"name", "y"}, {"dtype", "<f8"}, {"shape", {4}}}}}};
 }
@@ -46,24 +45,26 @@ TEST(Widen, AnyCountWhereFloatsAreTheLastHalfOfDoubles) {
 class Push : public ::testing::Test {
  protected:
   Push() { anna_.call("scene.create", {{"scene", "s"}, {"dims", 2}}); }
-  // Both names are known from the ledger only when the service has seen them.
-  void commit(Client& client, const char* session, std::int64_t step, std::uint64_t n,
-              const Json& more = Json::object()) {
-    client.begin(session, step, n, more);
-    if (n > 0) client.slice(session, step, n);
+  static void commit(Client& client, std::int64_t step, std::uint64_t n, const Json& more = Json::object()) {
+    client.push(step, n, more);
     EXPECT_EQ(client.receive_but_notices().json["report"]["step"], step);
+  }
+  // Anna's push of step 0, but for the rows, has come to the service.
+  void begin(std::uint64_t n, const Json& more = Json::object()) {
+    anna_.begin(0, n, more);
+    while (bert_.call("count", {{"scene", "s"}, {"step", 0}}).code() != "busy") {
+    }
   }
   TestService service_;
   Client anna_ = service_.client("anna", kAnna);
   Client bert_ = service_.client("bert", kBert);
 };
 
-TEST_F(Push, SlicesReachTheEngineAsTheyWereSent) {
-  anna_.begin(kAnna, 3, 5, {{"step_seconds", 0.5}, {"drifted", 2}});
-  const std::string sent = anna_.slice(kAnna, 3, 5, Json::object(), true);
+TEST_F(Push, RowsReachTheEngineAsTheyWereSent) {
+  const std::string sent = anna_.push(3, 5, {{"step_seconds", 0.5}, {"drifted", 2}}, true);
   const Received report = anna_.receive();
   EXPECT_EQ(report.type, FrameType::reply);
-  EXPECT_EQ(report.request, 3U);  // hello, create, begin
+  EXPECT_EQ(report.request, 3U);  // hello, create, push
   EXPECT_EQ(report.json["report"]["step"], 3);
   const auto slices = service_.engine().slices();
   ASSERT_EQ(slices.size(), 1U);
@@ -79,17 +80,16 @@ TEST_F(Push, SlicesReachTheEngineAsTheyWereSent) {
   EXPECT_EQ(anna_.call("status").json["scenes"][0]["step"], 3);
 }
 
-TEST_F(Push, NoParticlesNeedNoSlice) {
-  anna_.begin(kAnna, 0, 0, {{"weights", true}});
+TEST_F(Push, NoParticlesNeedNoArrays) {
+  anna_.push(0, 0, {{"weights", true}});
   EXPECT_EQ(anna_.receive().json["report"]["step"], 0);
   EXPECT_EQ(service_.engine().request()["blocks"], Json::array());
   EXPECT_EQ(service_.engine().request()["weights"], true);
 }
 
-TEST_F(Push, ALargeSliceArrivesWhole) {
+TEST_F(Push, ALargeOneArrivesWhole) {
   constexpr std::uint64_t kCount = 2000000;  // 32 MB
-  anna_.begin(kAnna, 0, kCount);
-  const std::string sent = anna_.slice(kAnna, 0, kCount, Json::object(), true);
+  const std::string sent = anna_.push(0, kCount, Json::object(), true);
   EXPECT_EQ(anna_.receive_but_notices().json["report"]["step"], 0);
   const auto slices = service_.engine().slices();
   ASSERT_EQ(slices.size(), 1U);
@@ -97,92 +97,105 @@ TEST_F(Push, ALargeSliceArrivesWhole) {
 }
 
 TEST_F(Push, AClientThatVanishesLeavesNothing) {
-  anna_.begin(kAnna, 0, 4);
-  anna_.call("status");
-  bert_.begin(kBert, 0, 4);
+  begin(4);
+  bert_.push(0, 4);
   EXPECT_EQ(bert_.receive().code(), "busy");
-  bert_.slice(kBert, 0, 4);  // dropped without a word
   anna_.close();
   std::string code = "busy";
   while (code == "busy") {
-    bert_.begin(kBert, 0, 4);
-    bert_.slice(kBert, 0, 4);
+    bert_.push(0, 4);
     code = bert_.receive().code();
   }
   EXPECT_EQ(code, "");
   EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "push step 0"}));
 }
 
-TEST_F(Push, AClientThatVanishesInTheMiddleOfASliceLeavesNothing) {
-  anna_.begin(kAnna, 0, 4);
-  const std::string whole = frame(FrameType::request, 9, slice_of_four().dump(), std::string(64, '\0'));
+TEST_F(Push, AClientThatVanishesInTheMiddleOfItsRowsLeavesNothing) {
+  const std::string whole = frame(FrameType::request, 9, push_of_four().dump(), std::string(64, '\0'));
   anna_.send_bytes(whole.substr(0, whole.size() - 20));
   anna_.close();
   while (bert_.call("status").json["sessions"] != 1) {
   }
-  commit(bert_, kBert, 0, 2);
+  commit(bert_, 0, 2);
   EXPECT_EQ(service_.engine().executed().back(), "push step 0");
 }
 
 TEST_F(Push, ASecondPusherIsToldWhoHoldsIt) {
-  anna_.begin(kAnna, 0, 4);
-  anna_.call("status");
-  bert_.begin(kBert, 0, 4);
+  begin(4);
+  bert_.push(0, 4);
   const Received busy = bert_.receive();
   EXPECT_EQ(busy.code(), "busy");
-  EXPECT_NE(busy.message().find("anna"), std::string::npos) << busy.message();
-  anna_.slice(kAnna, 0, 4);
+  EXPECT_NE(busy.message().find("'anna'"), std::string::npos) << busy.message();
+  EXPECT_NE(busy.message().find("0 of 64 bytes"), std::string::npos) << busy.message();
+  anna_.finish(4);
   EXPECT_EQ(anna_.receive().json["report"]["step"], 0);
 }
 
 TEST_F(Push, ItsDeadlineGivesItUp) {
-  anna_.begin(kAnna, 0, 4, {{"deadline_seconds", 0.2}});
+  anna_.begin(0, 4, {{"deadline_seconds", 0.2}});
   const Received late = anna_.receive();
   EXPECT_EQ(late.code(), "deadline_exceeded");
+  EXPECT_NE(late.message().find("'anna' (0 of 64 bytes have come)"), std::string::npos) << late.message();
   EXPECT_EQ(late.request, 3U);
-  anna_.slice(kAnna, 0, 4);  // too late: dropped
+  anna_.finish(4);  // too late: dropped
   EXPECT_EQ(anna_.call("compare").json["echo"], "compare");
   EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "compare"}));
 }
 
 TEST_F(Push, ANewerAttemptReplacesTheOlder) {
-  anna_.begin(kAnna, 0, 4);
   Client again = service_.client("anna", kAnna);
-  anna_.call("status");
-  again.begin(kAnna, 0, 4, {{"attempt", 2}});
+  begin(4);
+  again.push(0, 4);
+  EXPECT_EQ(again.receive().code(), "aborted");  // it isn't newer
+  again.begin(0, 4, {{"attempt", 2}});
   EXPECT_EQ(anna_.receive().code(), "aborted");
-  anna_.slice(kAnna, 0, 4);  // of the older one: dropped
-  again.slice(kAnna, 0, 4, {{"attempt", 2}});
+  anna_.finish(4);  // of the older one: dropped
+  again.finish(4);
   EXPECT_EQ(again.receive().json["report"]["step"], 0);
   anna_.call("status");
   EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "push step 0"}));
 }
 
-TEST_F(Push, SlicesThatContradictTheBeginningGiveItUp) {
-  const auto shape = [](const char* name, std::uint64_t n) {
-    return Json{{"name", name}, {"dtype", "<f8"}, {"shape", {n}}};
+TEST_F(Push, ArraysAreThoseOfItsRows) {
+  const auto array = [](const char* name, std::uint64_t n, const char* dtype = "<f8") {
+    return Json{{"name", name}, {"dtype", dtype}, {"shape", {n}}};
   };
-  const std::vector<std::pair<std::uint64_t, Json>> wrong{
-      {3, Json::object()},                                              // too few particles
-      {5, Json::object()},                                              // too many
-      {8, {{"count", 4}}},                                              // not what the arrays have
-      {8, {{"count", 4}, {"arrays", {shape("x", 8), shape("z", 8)}}}},  // z for y
-      {4, {{"arrays", {shape("x", 8)}}}},                               // no y
+  const std::vector<std::pair<std::size_t, std::vector<Json>>> wrong{
+      {48, {array("x", 3), array("y", 3)}},                         // too few particles
+      {80, {array("x", 5), array("y", 5)}},                         // too many
+      {96, {array("x", 4), array("y", 8)}},                         // of another number
+      {64, {array("x", 4), array("z", 4)}},                         // z for y
+      {32, {array("x", 4)}},                                        // no y
+      {32, {array("x", 4, "<f4"), array("y", 4, "<f4")}},           // another type than said
+      {96, {array("x", 4), array("y", 4), array("id", 4, "<i8")}},  // though the push has no ids
+      {0, {}},
   };
-  std::int64_t step = 0;
-  for (const auto& [count, more] : wrong) {
-    anna_.begin(kAnna, step, 4);
-    anna_.slice(kAnna, step, count, more);
-    EXPECT_EQ(anna_.receive().code(), "invalid_argument") << more;
-    ++step;
+  for (const auto& [bytes, arrays] : wrong) {
+    Json push = push_of_four();
+    push["arrays"] = arrays;
+    anna_.send(FrameType::request, push, std::string(bytes, '\0'));
+    EXPECT_EQ(anna_.receive().code(), "invalid_argument") << push;
   }
   EXPECT_EQ(service_.engine().executed(), kCreated);
-  commit(anna_, kAnna, step, 4);
+  commit(anna_, 0, 4);
+}
+
+// Whether or not it is refused.
+TEST_F(Push, OneWhoseArraysArentItsBulkEndsTheConnection) {
+  for (const std::int64_t step : {0, -1})
+    for (const std::size_t bytes : {0U, 56U}) {
+      Client client = service_.client("c", kBert);
+      Json push = push_of_four();
+      push["step"] = step;
+      client.send(FrameType::request, push, std::string(bytes, '\0'));
+      EXPECT_EQ(client.receive().code(), "protocol_error") << step << ", " << bytes;
+      EXPECT_TRUE(client.receive().ended);
+    }
+  EXPECT_EQ(service_.engine().executed(), kCreated);
 }
 
 TEST_F(Push, AWrongChecksumEndsTheConnection) {
-  anna_.begin(kAnna, 0, 4);
-  std::string bytes = frame(FrameType::request, 9, slice_of_four().dump(), std::string(64, '\0'), true);
+  std::string bytes = frame(FrameType::request, 9, push_of_four().dump(), std::string(64, '\0'), true);
   bytes[bytes.size() - 20] = 1;
   anna_.send_bytes(bytes);
   std::string last;
@@ -191,8 +204,8 @@ TEST_F(Push, AWrongChecksumEndsTheConnection) {
   EXPECT_EQ(bert_.call("status").json["steps"], 0);
 }
 
-TEST_F(Push, BeginIsHeldAgainstTheScene) {
-  commit(anna_, kAnna, 5, 4);
+TEST_F(Push, ItIsHeldAgainstTheScene) {
+  commit(anna_, 5, 4);
   const std::vector<std::pair<Json, std::string>> wrong{
       {{{"scene", "nobody"}}, "not_found"},
       {{{"n", 3}}, "not_conserved"},
@@ -201,8 +214,8 @@ TEST_F(Push, BeginIsHeldAgainstTheScene) {
       {{{"n", 5}, {"inserted", 1}}, "invalid_argument"},  // without ids
       {{{"n", nullptr}}, "invalid_argument"},
       {{{"counts", {4, 0, 0, 0}}}, "invalid_argument"},  // for what goes to the ranks
-      {{{"path", "any"}}, "invalid_argument"},
-      {{{"path", "direct"}, {"counts", {4, 0, 0, 0}}}, "unsupported"},  // not at this endpoint
+      {{{"way", "any"}}, "invalid_argument"},
+      {{{"way", "sockets"}, {"counts", {4, 0, 0, 0}}}, "unsupported"},  // not at this endpoint
       {{{"weights", true}}, "invalid_argument"},
       {{{"drifted", 5}}, "invalid_argument"},  // of four rows
       {{{"incarnation", "00000000000000ab"}}, "not_found"},
@@ -210,37 +223,32 @@ TEST_F(Push, BeginIsHeldAgainstTheScene) {
       {{{"step", -1}}, "invalid_argument"},
   };
   for (const auto& [more, code] : wrong) {
-    anna_.begin(kAnna, 6, 4, more);
+    anna_.push(6, 4, more);
     EXPECT_EQ(anna_.receive().code(), code) << more;
   }
-  anna_.begin(kAnna, 6, 4, {{"incarnation", anna_.call("scene.show", {{"scene", "s"}}).json["incarnation"]}});
-  anna_.slice(kAnna, 6, 4);
-  EXPECT_EQ(anna_.receive().json["report"]["step"], 6);
-  commit(anna_, kAnna, 7, 0, {{"removed", 4}});
+  commit(anna_, 6, 4, {{"incarnation", anna_.call("scene.show", {{"scene", "s"}}).json["incarnation"]}});
+  commit(anna_, 7, 0, {{"removed", 4}});
   EXPECT_EQ(service_.engine().request()["removed"], 4);
-  commit(anna_, kAnna, 8, 3, {{"inserted", 3}});  // into nothing: as a first push
+  commit(anna_, 8, 3, {{"inserted", 3}});  // into nothing: as a first push
 }
 
 TEST_F(Push, AFirstPushKnowsOfNothingThatCame) {
-  commit(anna_, kAnna, 5, 4, {{"inserted", 2}, {"removed", 1}});
+  commit(anna_, 5, 4, {{"inserted", 2}, {"removed", 1}});
   EXPECT_EQ(service_.engine().request()["inserted"], 0);
   EXPECT_EQ(service_.engine().request()["removed"], 0);
 }
 
 TEST_F(Push, AStepThatIsNotAboveTheLastIsNotOrdered) {
-  commit(anna_, kAnna, 4, 4);
-  commit(anna_, kAnna, 5, 4);
+  commit(anna_, 4, 4);
+  commit(anna_, 5, 4);
   service_.engine().hold();
-  for (const std::int64_t step : {4, 5}) {
-    anna_.begin(kAnna, step, 4);
-    const Received again = anna_.receive_but_notices();
-    EXPECT_EQ(again.json["repeated"], true);
-    EXPECT_EQ(again.json["report"]["step"], step);
-    anna_.slice(kAnna, step, 4);  // dropped
-    bert_.begin(kBert, step, 4);
-    EXPECT_EQ(bert_.receive_but_notices().code(), "stale_step") << step;
-  }
-  anna_.begin(kAnna, 3, 4);
+  anna_.push(5, 4);
+  const Received again = anna_.receive_but_notices();
+  EXPECT_EQ(again.json["repeated"], true);
+  EXPECT_EQ(again.json["report"]["step"], 5);
+  bert_.push(5, 4);
+  EXPECT_EQ(bert_.receive_but_notices().code(), "stale_step");
+  anna_.push(4, 4);
   EXPECT_EQ(anna_.receive_but_notices().code(), "stale_step");
   EXPECT_EQ(service_.engine().executed().size(), 3U);
 }
@@ -250,24 +258,23 @@ TEST(PushBudget, WhatIsAnnouncedTakesNothingWhatHasArrivedDoes) {
   Client anna = service.client("anna", kAnna);
   Client bert = service.client("bert", kBert);
   for (const char* scene : {"s", "t", "u"}) anna.call("scene.create", {{"scene", scene}, {"dims", 2}});
-  anna.begin(kAnna, 0, std::uint64_t{1} << 40U);
+  // Announced alone, with no array.
+  anna.request("push", {{"scene", "s"}, {"step", 0}, {"n", std::uint64_t{1} << 40U}});
   EXPECT_EQ(anna.receive().code(), "too_large");
   constexpr std::uint64_t kCount = 180000;  // 2.9 MB
-  anna.begin(kAnna, 0, kCount, {{"scene", "t"}});
-  anna.call("status");
-  bert.begin(kBert, 0, kCount, {{"scene", "u"}});
-  bert.slice(kBert, 0, kCount, {{"scene", "u"}});
+  anna.begin(0, kCount, {{"scene", "t"}});
+  while (bert.call("count", {{"scene", "t"}, {"step", 0}}).code() != "busy") {
+  }
+  bert.push(0, kCount, {{"scene", "u"}});
   EXPECT_EQ(bert.receive_but_notices().json["report"]["step"], 0);  // Anna's announcement is in nobody's way
   service.engine().hold();
-  bert.begin(kBert, 1, kCount, {{"scene", "u"}});
-  bert.slice(kBert, 1, kCount, {{"scene", "u"}});
+  bert.push(1, kCount, {{"scene", "u"}});
   service.engine().wait_for_orders(1);  // arrived, and kept until it is answered
-  anna.slice(kAnna, 0, kCount, {{"scene", "t"}});
+  anna.finish(kCount);
   EXPECT_EQ(anna.receive_but_notices().code(), "busy");
   service.engine().release();
   EXPECT_EQ(bert.receive_but_notices().json["report"]["step"], 1);
-  anna.begin(kAnna, 0, kCount, {{"scene", "t"}});  // all was given back
-  anna.slice(kAnna, 0, kCount, {{"scene", "t"}});
+  anna.push(0, kCount, {{"scene", "t"}});  // all was given back
   EXPECT_EQ(anna.receive_but_notices().json["report"]["step"], 0);
 }
 
@@ -276,55 +283,49 @@ TEST(PushBudget, APushThatStopsArrivingIsGivenUp) {
   Client anna = service.client("anna", kAnna);
   Client bert = service.client("bert", kBert);
   anna.call("scene.create", {{"scene", "s"}, {"dims", 2}});
-  anna.begin(kAnna, 0, 1000000, {{"deadline_seconds", 3600}});
+  anna.begin(0, 1000000, {{"deadline_seconds", 3600}});
   const Received failure = anna.receive_but_notices();
   EXPECT_EQ(failure.code(), "deadline_exceeded");
   EXPECT_NE(failure.message().find("stopped arriving"), std::string::npos) << failure.message();
-  bert.begin(kBert, 0, 4);
-  bert.slice(kBert, 0, 4);
+  bert.push(0, 4);
   EXPECT_EQ(bert.receive_but_notices().json["report"]["step"], 0);
 }
 
 TEST_F(Push, ADropWaitsForTheOpenPushAndLaterPushesWaitBehindIt) {
-  anna_.begin(kAnna, 0, 4);
-  anna_.call("status");  // the begin is in
+  begin(4);
   bert_.request("scene.drop", {{"scene", "s"}});
   Client carl = service_.client("carl", "00000000000000cc");
   while (carl.call("status").json["sessions"] != 3) {
   }
-  EXPECT_EQ(anna_.call("scene.drop", {{"scene", "s"}}).code(), "busy");  // would wait for itself
   EXPECT_EQ(service_.engine().executed(), kCreated);
-  anna_.slice(kAnna, 0, 4);
+  anna_.finish(4);
   EXPECT_EQ(anna_.receive_but_notices().json["report"]["step"], 0);
   EXPECT_EQ(bert_.receive_but_notices().json["echo"], "scene.drop");
-  carl.begin("00000000000000cc", 1, 4);
+  carl.push(1, 4);
   EXPECT_EQ(carl.receive_but_notices().code(), "not_found");
   EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "push step 0", "scene.drop"}));
 }
 
 TEST_F(Push, APushBehindAChangeSeesItsEffect) {
-  commit(anna_, kAnna, 5, 4);
+  commit(anna_, 5, 4);
   service_.engine().hold();
   anna_.request("scene.create", {{"scene", "s"}, {"dims", 2}, {"replace", true}});
   service_.engine().wait_for_orders(1);
-  bert_.begin(kBert, 0, 9);  // another n: refused, were it held against the old scene
-  bert_.slice(kBert, 0, 9);
+  bert_.push(0, 9);  // another n: refused, were it held against the old scene
   service_.engine().release();
   EXPECT_EQ(bert_.receive_but_notices().json["report"]["step"], 0);
 }
 
 TEST_F(Push, ADropThatWaitsTooLongSaysSo) {
-  anna_.begin(kAnna, 0, 4);
-  anna_.call("status");
+  begin(4);
   EXPECT_EQ(bert_.call("scene.drop", {{"scene", "s"}, {"deadline_seconds", 0.2}}).code(), "deadline_exceeded");
-  anna_.slice(kAnna, 0, 4);
+  anna_.finish(4);
   EXPECT_EQ(anna_.receive().json["report"]["step"], 0);
   EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "push step 0"}));
 }
 
 TEST_F(Push, ShutdownAbortsWhatIsOpen) {
-  anna_.begin(kAnna, 0, 4);
-  anna_.call("status");
+  begin(4);
   EXPECT_EQ(bert_.call("shutdown").type, FrameType::reply);
   EXPECT_EQ(anna_.receive().code(), "aborted");
   EXPECT_EQ(anna_.receive().type, FrameType::goodbye);

@@ -229,7 +229,6 @@ TEST(Scenes, AnOrderTellsOfItsOwnSceneAlone) {
     EXPECT_EQ(pushed.change->scene, "s7");
     const auto& stepped = std::get<scene::Stepped>(pushed.change->event);
     EXPECT_EQ(stepped.report.step, 4);
-    EXPECT_EQ(stepped.session, "s");
     EXPECT_EQ(stepped.held.n, 40U);
     EXPECT_FALSE(asked.change);
     EXPECT_FALSE(refused.change || refused.status.ok());

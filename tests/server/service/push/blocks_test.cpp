@@ -27,11 +27,11 @@ TEST(Blocks, NothingIsLostOrDoubled) {
     for (const Path path : kAnyRankPaths) {
       Refusing scene(comm, {{"parts", 4}, {"dims", 2}, {"tolerance", 0.3}});
       const Particles particles = with_ids(5, 61, 2);
-      scene.taken(particles, dealt(comm, particles, path), 0, true, 0);
+      scene.taken(particles, dealt(comm, particles, path), 0, true, 1);
       Particles fewer = particles;
       keep_rows(fewer, first_rows(60));
       const auto refused = [&](const Particles& pushed, const std::vector<std::string>& words, const Json& told) {
-        scene.refused(Code::not_conserved, words, pushed, dealt(comm, pushed, path), 1, true, 0, told);
+        scene.refused(Code::not_conserved, words, pushed, dealt(comm, pushed, path), 1, true, 1, told);
         scene.refused(Code::not_conserved, words, pushed, shares(comm, pushed, 3, path), 1, true, 3, told);
       };
       Particles other = particles;
@@ -39,9 +39,9 @@ TEST(Blocks, NothingIsLostOrDoubled) {
       refused(other, {"other particles"}, flow(0, 0));
       other.ids[17] = other.ids[18];  // one twice, another not at all
       refused(other, {"other particles"}, flow(0, 0));
-      scene.taken(fewer, dealt(comm, fewer, path), 1, true, 0, flow(0, 1));
+      scene.taken(fewer, dealt(comm, fewer, path), 1, true, 1, flow(0, 1));
       scene.taken(particles, shares(comm, particles, 2, path), 2, true, 2, flow(1, 0));
-      scene.refused(Code::not_conserved, {"other particles"}, other, dealt(comm, other, path), 3, true, 0);
+      scene.refused(Code::not_conserved, {"other particles"}, other, dealt(comm, other, path), 3, true, 1);
     }
   });
 }
@@ -54,21 +54,21 @@ TEST(Blocks, TwinsAreNamedAndWhoPushesThem) {
       Particles twins = particles;
       twins.ids[10] = twins.ids[31] = 7;  // rows of seat 1 of 3, of seats 2 and 3 of 4
       const auto told = [&](std::int64_t step, std::size_t seats, const Json& more) {
-        const auto blocks = seats == 0 ? dealt(comm, twins, path) : shares(comm, twins, seats, path);
+        const auto blocks = seats == 1 ? dealt(comm, twins, path) : shares(comm, twins, seats, path);
         const Response refused = driver.push(twins, blocks, step, true, static_cast<int>(seats), more);
         if (comm.rank() != 0) return std::string();
         EXPECT_EQ(refused.status.code(), Code::duplicate_id) << refused.status.message();
         return refused.status.message();
       };
       const auto tell = [&](std::int64_t step, const Json& more) {
-        const std::string one = told(step, 0, more), same = told(step, 3, more), others = told(step, 4, more);
+        const std::string one = told(step, 1, more), same = told(step, 3, more), others = told(step, 4, more);
         if (comm.rank() != 0) return;
         EXPECT_EQ(one, "id 7 occurs more than once");
         EXPECT_EQ(same, "seat 1 pushes id 7 twice");
         EXPECT_EQ(others, "id 7 is pushed by seat 2 and by seat 3");
       };
       tell(0, Json::object());
-      const Response pushed = driver.push(particles, dealt(comm, particles, path), 0, true, 0);
+      const Response pushed = driver.push(particles, dealt(comm, particles, path), 0, true, 1);
       EXPECT_TRUE(comm.rank() != 0 || pushed.status.ok()) << pushed.status.message();
       tell(1, flow(1, 1));
       keep_rows(twins, first_rows(48));
@@ -90,9 +90,9 @@ TEST(Blocks, TwinsMadeForTheSumOfIdsAreFound) {
         sums[1] += mix64(static_cast<std::uint64_t>(twins.ids[row]));
       }
       EXPECT_EQ(sums[0], sums[1]);
-      scene.taken(particles, dealt(comm, particles, path), 0, true, 0);
-      scene.refused(Code::not_conserved, {}, twins, dealt(comm, twins, path), 1, true, 0);
-      scene.taken(particles, dealt(comm, particles, path), 1, true, 0, flow(0, 0));
+      scene.taken(particles, dealt(comm, particles, path), 0, true, 1);
+      scene.refused(Code::not_conserved, {}, twins, dealt(comm, twins, path), 1, true, 1);
+      scene.taken(particles, dealt(comm, particles, path), 1, true, 1, flow(0, 0));
     }
   });
 }
@@ -102,7 +102,7 @@ TEST(Blocks, ARowListedTwiceIsATwin) {
     OwnDriver driver(comm, "t", {{"parts", 3}, {"dims", 2}});
     const Particles particles = random_particles(9, 50, 2);
     for (const std::int64_t step : {0, 1}) {
-      Json request{{"command", "push"}, {"scene", "t"}, {"session", "s"}, {"step", step}, {"attempt", 0}};
+      Json request{{"command", "push"}, {"scene", "t"}, {"step", step}, {"attempt", 0}};
       std::vector<PushSlice> slices;
       Blocks(comm, particles, dealt(comm, particles, Path::listed, 8), false).put(request, slices);
       const SharedMemory& good = *slices[0].shared[0].memory;
@@ -131,7 +131,7 @@ TEST(Blocks, NoBadValueHides) {
       Particles particles = random_particles(2, 200, 3);
       particles.weights.assign(200, 1.5);
       particles.weights[9] = 3;
-      scene.taken(particles, dealt(comm, particles, path), 0, false, 0);
+      scene.taken(particles, dealt(comm, particles, path), 0, false, 1);
       for (const std::size_t row : {0U, 1U, 3U, 4U, 7U, 8U, 63U, 64U, 127U, 199U})
         for (std::size_t a = 0; a < 4; ++a)
           for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL, -1.0}) {
@@ -141,12 +141,12 @@ TEST(Blocks, NoBadValueHides) {
             scene.refused(
                 bad == -1.0 ? Code::invalid_argument : Code::not_finite,
                 {fmt::format("particle {}", row), fmt::format("{} is {}", a < 3 ? kAxisNames[a] : "weight", bad)},
-                pushed, dealt(comm, pushed, path, row), 1, false, 0);
+                pushed, dealt(comm, pushed, path, row), 1, false, 1);
           }
       Particles many = particles;  // the least id is named
       for (const std::size_t row : {150U, 11U, 60U}) many.position[row % 3][row] = std::nan("");
-      scene.refused(Code::not_finite, {"particle 11"}, many, dealt(comm, many, path, 5), 1, false, 0);
-      scene.taken(particles, dealt(comm, particles, path, 6), 1, false, 0);
+      scene.refused(Code::not_finite, {"particle 11"}, many, dealt(comm, many, path, 5), 1, false, 1);
+      scene.taken(particles, dealt(comm, particles, path, 6), 1, false, 1);
     }
   });
 }
@@ -160,9 +160,9 @@ TEST(Blocks, ABadValueOfAFirstPushIsNamedByItsId) {
         Particles nan = good, negative = good;
         nan.position[1][row] = std::nan("");
         negative.ids[row] = -4;
-        const Response not_finite = driver.push(nan, dealt(comm, nan, path), 0, true, 0);
-        const Response below = driver.push(negative, dealt(comm, negative, path), 0, true, 0);
-        const Response works = driver.push(good, dealt(comm, good, path), 0, true, 0);
+        const Response not_finite = driver.push(nan, dealt(comm, nan, path), 0, true, 1);
+        const Response below = driver.push(negative, dealt(comm, negative, path), 0, true, 1);
+        const Response works = driver.push(good, dealt(comm, good, path), 0, true, 1);
         if (comm.rank() != 0) continue;
         EXPECT_EQ(not_finite.status.code(), Code::not_finite);
         EXPECT_EQ(not_finite.status.message(), fmt::format("particle {}: y is nan", good.ids[row]));
@@ -178,12 +178,12 @@ TEST(Blocks, RowNumbersMayComeAsIds) {
     Refusing scene(comm, {{"parts", 4}, {"dims", 2}, {"tolerance", 0.1}});
     Particles rows = random_particles(6, 80, 2);
     Random random(8);
-    scene.taken(rows, dealt(comm, rows, Path::gateway), 0, false, 0);
+    scene.taken(rows, dealt(comm, rows, Path::gateway), 0, false, 1);
     for (const std::int64_t step : {1, 2, 3}) {  // with ids in any order, then without
       drift(rows, static_cast<std::uint64_t>(step), 0.05);
       Block block = all_rows(rows, step == 2 ? Path::direct : Path::gateway);
       if (step < 3) block.rows = shuffled(80, random);
-      scene.taken(rows, std::vector<Block>{block}, step, step < 3, 0);
+      scene.taken(rows, std::vector<Block>{block}, step, step < 3, 1);
       const Response shown = scene.driver().ask("scene.show"), fetched = scene.driver().ask("fetch");
       if (comm.rank() != 0) continue;
       EXPECT_FALSE(shown.json["ids"]);
@@ -191,7 +191,7 @@ TEST(Blocks, RowNumbersMayComeAsIds) {
     }
     Particles other = rows;
     for (int row = 0; row < 80; ++row) other.ids.push_back(row == 9 ? 80 : row);
-    scene.taken(other, dealt(comm, other, Path::direct), 4, true, 0, flow(1, 1));
+    scene.taken(other, dealt(comm, other, Path::direct), 4, true, 1, flow(1, 1));
     const Response shown = scene.driver().ask("scene.show");
     EXPECT_TRUE(comm.rank() != 0 || shown.json["ids"].get<bool>());
   });
@@ -203,14 +203,14 @@ TEST(Blocks, OfASceneWithWeightsHaveThem) {
     Particles plain = random_particles(3, 70, 3), weighted = plain;
     Random random(3);
     for (int k = 0; k < 70; ++k) weighted.weights.push_back(random.uniform(0, 2));
-    scene.taken(weighted, dealt(comm, weighted, Path::direct), 0, false, 0);
+    scene.taken(weighted, dealt(comm, weighted, Path::direct), 0, false, 1);
     drift(plain, 4, 0.1);
     weighted.position = plain.position;
-    scene.taken(plain, dealt(comm, plain, Path::held), 1, false, 0);  // leaves them as they are
+    scene.taken(plain, dealt(comm, plain, Path::held), 1, false, 1);  // leaves them as they are
     const Response left = scene.driver().ask("fetch");
     if (comm.rank() == 0) check_particles(left, weighted);
     for (double& weight : weighted.weights) weight = random.uniform(0, 2);
-    scene.taken(weighted, dealt(comm, weighted, Path::held), 2, false, 0);
+    scene.taken(weighted, dealt(comm, weighted, Path::held), 2, false, 1);
     const Response changed = scene.driver().ask("fetch");
     if (comm.rank() == 0) check_particles(changed, weighted);
   });
@@ -225,11 +225,11 @@ TEST(Blocks, OfAnEmptySceneMayBeAny) {
     Particles some = with_ids(4, 30, 2);
     some.weights.assign(30, 2);
     some.weights[4] = 5;
-    for (const std::int64_t step : {0, 1}) scene.taken(none, std::vector<Block>{}, step, false, 0);
-    const Json first = scene.taken(some, dealt(comm, some, Path::direct), 2, true, 0, flow(30, 0));
+    for (const std::int64_t step : {0, 1}) scene.taken(none, std::vector<Block>{}, step, false, 1);
+    const Json first = scene.taken(some, dealt(comm, some, Path::direct), 2, true, 1, flow(30, 0));
     const Json gone = scene.taken(none, std::vector<Block>{}, 3, false, 3, flow(0, 30));
     const Particles rows = random_particles(1, 12, 2);
-    const Json others = scene.taken(rows, dealt(comm, rows, Path::held), 4, false, 0, flow(12, 0));
+    const Json others = scene.taken(rows, dealt(comm, rows, Path::held), 4, false, 1, flow(12, 0));
     const Response fetched = scene.driver().ask("fetch"), shown = scene.driver().ask("scene.show");
     if (comm.rank() != 0) return;
     check_particles(fetched, rows);
@@ -279,7 +279,7 @@ TEST(Blocks, GiveTheirMemoryBack) {
     const auto spare = std::make_shared<api::SpareMemory>();
     OwnDriver driver(comm, "g", {{"parts", 4}, {"dims", 2}, {"tolerance", "inf"}}, {.spare = spare});
     Particles particles = with_ids(6, 400, 2);
-    driver.push(particles, dealt(comm, particles, Path::gateway), 0, true, 0);
+    driver.push(particles, dealt(comm, particles, Path::gateway), 0, true, 1);
     for (std::int64_t step = 1; step < 9; ++step) {
       const bool direct = step % 2 == 0;
       const std::size_t seats = step % 4 < 2 ? 1 : 2;
@@ -301,7 +301,7 @@ TEST(Blocks, AreComparedWithTheOrder) {
     OwnDriver driver(comm, "c", {{"parts", 4}, {"dims", 2}});
     const Particles particles = random_particles(5, 90, 2);
     const auto refused = [&](Path path, std::int64_t step, const char* why, const auto& spoil) {
-      Json request{{"command", "push"}, {"scene", "c"}, {"session", "s"}, {"step", step}, {"attempt", 0}};
+      Json request{{"command", "push"}, {"scene", "c"}, {"step", step}, {"attempt", 0}};
       std::vector<PushSlice> slices;
       Blocks(comm, particles, {all_rows(particles, path)}, false).put(request, slices);
       if (comm.rank() == (path == Path::gateway ? 0 : comm.size() - 1)) spoil(slices);

@@ -79,7 +79,7 @@ constexpr Teller kTellers[] = {Teller::held,   Teller::divided, Teller::direct, 
 struct Telling {
   std::vector<Block> blocks;
   bool ids = false;
-  int seats = 0;
+  int seats = 1;
 };
 
 Telling tell_by_seats(const Story& story, const Particles& particles, int ranks, Random& random) {
