@@ -12,6 +12,7 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <type_traits>
 #include <vector>
 
 #include <nlohmann/json.hpp>
@@ -44,6 +45,12 @@ struct ArraySpec {
   std::uint64_t bytes = 0;
 };
 
+// That of elements of this type.
+template <typename T>
+constexpr const char* dtype_of() {
+  if (std::is_floating_point_v<T>) return sizeof(T) == 8 ? "<f8" : "<f4";
+  return sizeof(T) == 4 ? "<i4" : std::is_signed_v<T> ? "<i8" : "<u8";
+}
 // Bytes of one element; 0 for an unknown dtype.
 std::size_t dtype_bytes(std::string_view dtype);
 

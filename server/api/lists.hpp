@@ -8,20 +8,11 @@
 #include <cstring>
 #include <span>
 #include <string>
-#include <type_traits>
 
 #include "common/wire/limits.hpp"
 #include "server/api/answer.hpp"
 
 namespace rcb::api {
-
-template <typename T>
-constexpr const char* dtype_of() {
-  if constexpr (std::is_same_v<T, double>) return "<f8";
-  if constexpr (std::is_same_v<T, std::uint64_t>) return "<u8";
-  static_assert(sizeof(T) == 4 || sizeof(T) == 8);
-  return sizeof(T) == 8 ? "<i8" : "<i4";
-}
 
 // Infinity and NaN as number_json() writes them.
 inline wire::Json list_json(std::span<const double> values) {
@@ -46,7 +37,7 @@ void put_list(Answer& answer, wire::Json& json, const char* name, std::span<cons
   const auto found = std::find_if(answer.arrays.begin(), answer.arrays.end(),
                                   [name](const wire::Array& array) { return array.name == name; });
   if (found == answer.arrays.end()) {
-    answer.arrays.push_back(make_array<T>(name, dtype_of<T>(), values));
+    answer.arrays.push_back(make_array<T>(name, wire::dtype_of<T>(), values));
     return;
   }
   const std::size_t before = found->bytes.size();

@@ -19,7 +19,6 @@
 #include <optional>
 #include <span>
 #include <string>
-#include <type_traits>
 #include <vector>
 
 #include <sys/uio.h>
@@ -45,13 +44,6 @@ class Deadline {
   Clock::time_point at_;
 };
 
-// The protocol's name of a type of elements.
-template <typename T>
-constexpr const char* dtype_of() {
-  if (std::is_floating_point_v<T>) return sizeof(T) == 8 ? "<f8" : "<f4";
-  return sizeof(T) == 4 ? "<i4" : std::is_signed_v<T> ? "<i8" : "<u8";
-}
-
 struct Frame {
   wire::FrameType type = wire::FrameType::reply;
   std::uint64_t request = 0;
@@ -62,7 +54,7 @@ struct Frame {
   template <typename T>
   std::optional<std::span<const T>> array(const char* name) const {
     const wire::Array* const found = wire::find_array(arrays, name);
-    if (found == nullptr || found->dtype != dtype_of<T>()) return std::nullopt;
+    if (found == nullptr || found->dtype != wire::dtype_of<T>()) return std::nullopt;
     return std::span(reinterpret_cast<const T*>(found->bytes.data()), found->bytes.size() / sizeof(T));
   }
   Result<wire::Json> json() const { return wire::parse_json(text, wire::kReplyJsonBytesMax, wire::kReplyJsonBytesMax); }

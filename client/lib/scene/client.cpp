@@ -12,7 +12,7 @@ namespace {
 
 template <typename T>
 std::span<const T> elements(const Array& array) {
-  if (array.dtype != dtype_of<T>()) return {};
+  if (array.dtype != wire::dtype_of<T>()) return {};
   return {reinterpret_cast<const T*>(array.bytes.data()), array.bytes.size() / sizeof(T)};
 }
 

@@ -13,7 +13,7 @@ namespace rcb::client {
 
 bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) const {
   const Path path = session().path();
-  if ((path != Path::automatic && path != Path::shared) || share_unsupported_) return false;
+  if ((path != Path::automatic && path != Path::shared)) return false;
   // Ranks on other hosts get their rows over sockets. It is worth while if few positions are copied for nothing.
   const auto worth_while = [&] {
     const std::size_t apart = session().ranks_apart().size();
@@ -76,10 +76,6 @@ wire::Json Scene::State::push_json(std::int64_t step, const Retry& retry) const 
                   {"deadline_seconds", retry.seconds_left()}};
   if (!incarnation_.empty()) push["incarnation"] = incarnation_;
   return push;
-}
-
-Result<Frame> Scene::State::ask_for_answer(std::int64_t step, const Retry& retry) const {
-  return session().call_once(push_json(step, retry), retry);
 }
 
 std::span<const std::int64_t> Scene::State::row_numbers(std::size_t count) {

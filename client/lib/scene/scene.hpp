@@ -116,8 +116,6 @@ struct Scene::State {
   // Fills in what depends on the parts.
   void tell_parts(const StepRequest& ask, StepResult& result);
 
-  // Of a step that the service has committed. It is answered by the report alone.
-  Result<Frame> ask_for_answer(std::int64_t step, const Retry& retry) const;
   // What every push says.
   wire::Json push_json(std::int64_t step, const Retry& retry) const;
   Result<Way> choose_way(const StepRequest& ask, const Retry& retry) const;
@@ -155,10 +153,9 @@ struct Scene::State {
   std::vector<std::int32_t> told_;  // the parts last told to the caller, of told_rows_
   RowsId told_rows_;
   SharedArrays arrays_;
-  Buffer<std::uint64_t> list_;      // of rows, rank after rank
-  Buffer<std::int64_t> numbers_;    // 0, 1, ...
-  Way way_ = Way::endpoint;         // of the current attempt
-  bool share_unsupported_ = false;  // a rank, or this kernel, doesn't take this scene's positions so
+  Buffer<std::uint64_t> list_;    // of rows, rank after rank
+  Buffer<std::int64_t> numbers_;  // 0, 1, ...
+  Way way_ = Way::endpoint;       // of the current attempt
 };
 
 }  // namespace rcb::client

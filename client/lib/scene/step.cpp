@@ -128,7 +128,7 @@ Result<StepResult> Scene::State::step_until_deadline(const StepRequest& ask, std
       case Code::too_large:
       case Code::io_error:
         // By another way, then.
-        return (way_ == Way::shared || way_ == Way::held) && !std::exchange(share_unsupported_, true);
+        return (way_ == Way::shared || way_ == Way::held) && session().stop_sharing();
       default:
         return false;
     }
@@ -164,10 +164,9 @@ Result<StepResult> Scene::State::try_step(const StepRequest& ask, std::int64_t s
   way_ = Way::endpoint;
   if (Status status = hold(retry); !status) return status;
   const bool tried_before = unanswered_.begin(step);
-  const bool committed = tried_before && last_step_ == step;
-  auto answer = committed ? Result<std::optional<Answer>>(std::nullopt) : step_by_count(ask, step, retry);
+  auto answer = step_by_count(ask, step, retry);
   if (answer && !*answer) {
-    auto frame = committed ? ask_for_answer(step, retry) : push(ask, step, retry);
+    auto frame = push(ask, step, retry);
     if (frame)
       answer->emplace(std::move(*frame));
     else

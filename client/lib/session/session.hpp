@@ -16,6 +16,7 @@
 #include <span>
 #include <string>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include <fmt/format.h>
@@ -101,9 +102,11 @@ class Session {
   DataPath* data(const Deadline& deadline);
   // Rises whenever data() is opened anew; what was shared over older connections is shared no more.
   std::uint64_t data_generation() const { return data_generation_; }
-  // Whether ranks can share memory with this client: some are on its host, and none of them has refused it.
+  // Whether ranks can share memory with this client: some are on its host, and that was not stopped.
   bool can_share(const Deadline& deadline);
   bool shares_with(int rank) const;
+  // On this connection: a rank, or this kernel, doesn't take positions so. True once.
+  bool stop_sharing() { return !std::exchange(share_refused_, true); }
   // The ranks, ascending, that don't share memory: they are on other hosts.
   std::vector<int> ranks_apart() const;
   // Numbers name the memory that this session shares.
@@ -181,7 +184,7 @@ class Session {
   std::vector<std::string> local_addresses_;  // by rank: its Unix socket; empty where it is on another machine
   std::unique_ptr<DataPath> data_;
   std::uint64_t data_generation_ = 0;
-  bool share_refused_ = false;  // by a rank of the service that was connected to last
+  bool share_refused_ = false;  // stop_sharing()
   std::int64_t next_memory_ = 1;
   bool data_tried_ = false;  // to open it, on this connection
   int data_failures_ = 0;    // in a row, of data()

@@ -69,10 +69,8 @@ std::vector<int> Session::ranks_apart() const {
 }
 
 Status Session::share(const SharedMemory& memory, std::int64_t number, const Deadline& deadline) {
-  const Status status = ask_ranks({{"command", "memory.share"}, {"memory", number}, {"bytes", memory.size()}},
-                                  memory.descriptor(), deadline);
-  share_refused_ = share_refused_ || status.code() == Code::unsupported;
-  return status;
+  return ask_ranks({{"command", "memory.share"}, {"memory", number}, {"bytes", memory.size()}}, memory.descriptor(),
+                   deadline);
 }
 
 void Session::unshare(std::int64_t number, const Deadline& deadline) {

@@ -229,15 +229,15 @@ TEST(Seat, AStepThatWasAbortedIsPushedAgain) {
 }
 
 // Its answer was lost with the service, which tells the report alone: the rest comes from the cuts.
-TEST(Seat, AsksForTheAnswerToAStepThatTheServiceHasCommitted) {
-  std::vector<Json> begun;
+TEST(Seat, AsksForTheCutsOfAStepThatTheServiceHasCommitted) {
+  int pushes = 0;
   FakeService service([&](Peer& peer, int number) {
     peer.greet(2);
     Json seat = seat_reply(4 + number, 6 + number);
     if (number > 0) seat["filled"] = false;
     peer.reply(*peer.receive(), seat);
     const Received begin = receive_push(peer);
-    begun.push_back(begin.json);
+    ++pushes;
     if (number == 0) return;
     Json answer = report(7);
     answer.erase("cuts");
@@ -256,9 +256,7 @@ TEST(Seat, AsksForTheAnswerToAStepThatTheServiceHasCommitted) {
     EXPECT_EQ(result->leaving.size(), 2U);
   }
   service.stop();
-  ASSERT_EQ(begun.size(), 2U);
-  EXPECT_EQ(begun[0]["n"], 3);
-  EXPECT_EQ(begun[1]["n"], 0);
+  EXPECT_EQ(pushes, 2);
 }
 
 // The other seats wait for it, and are told what is wrong with its rows.
