@@ -37,7 +37,8 @@ add_library(rcb_flags INTERFACE)
 target_link_libraries(rcb_flags INTERFACE rcb_usage)
 target_compile_options(rcb_flags INTERFACE
   -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion -Wold-style-cast -Wnon-virtual-dtor
-  -Woverloaded-virtual -Wno-missing-field-initializers -ffp-contract=off -fno-fast-math)
+  -Woverloaded-virtual -Wno-missing-field-initializers -ffp-contract=off -fno-fast-math
+  -fno-semantic-interposition)
 target_compile_definitions(rcb_flags INTERFACE BOOST_ASIO_NO_DEPRECATED)
 target_compile_options(rcb_flags INTERFACE "-ffile-prefix-map=${PROJECT_SOURCE_DIR}/=")  # messages name files from here on
 if(RCB_WERROR)
@@ -130,4 +131,21 @@ function(rcb_program name place)
   target_link_libraries(${name} PRIVATE rcb_flags ${ARG_LINKS})
   rcb_prepare(${name})
   target_compile_definitions(${name} PRIVATE RCB_VERSION="${PROJECT_VERSION}")
+endfunction()
+
+# rcb_c_library(): the shared library of client/c, DIR/lib/librcbd.so.1. It exports what client/include/rcbd/rcbd.h
+# declares and nothing else, and stays loaded, since a look-up of a host name may outlast a call.
+function(rcb_c_library)
+  set(map "${PROJECT_SOURCE_DIR}/client/c/librcbd.map")
+  rcb_sources(sources client/c)
+  add_library(rcbd_library SHARED ${sources})
+  set_target_properties(rcbd_library PROPERTIES OUTPUT_NAME rcbd SOVERSION 1 VERSION 1 LINK_DEPENDS "${map}"
+                                                LIBRARY_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/lib")
+  target_include_directories(rcbd_library INTERFACE "${PROJECT_SOURCE_DIR}/client/include")
+  target_link_libraries(rcbd_library PRIVATE rcb_flags rcb::client_lib)
+  target_link_options(rcbd_library PRIVATE "-Wl,--version-script=${map}" -Wl,-z,nodelete -Wl,-z,defs -Wl,--as-needed)
+  math(EXPR number "10000 * ${PROJECT_VERSION_MAJOR} + 100 * ${PROJECT_VERSION_MINOR} + ${PROJECT_VERSION_PATCH}")
+  target_compile_definitions(rcbd_library PRIVATE RCB_VERSION_NUMBER=${number})
+  rcb_prepare(rcbd_library)
+  add_library(rcbd::rcbd ALIAS rcbd_library)
 endfunction()

@@ -7,11 +7,11 @@ find_package(nlohmann_json REQUIRED)
 find_package(fmt REQUIRED)
 find_package(OpenSSL 3.0 REQUIRED COMPONENTS Crypto SSL)
 
+# Headers alone, as fmt's in the folders of the client library: librcbd.so needs no shared library of either.
 find_path(RCB_XXHASH_INCLUDE xxhash.h REQUIRED)
-find_library(RCB_XXHASH_LIBRARY xxhash REQUIRED)
 add_library(rcb_xxhash INTERFACE)
 target_include_directories(rcb_xxhash SYSTEM INTERFACE "${RCB_XXHASH_INCLUDE}")
-target_link_libraries(rcb_xxhash INTERFACE "${RCB_XXHASH_LIBRARY}")
+target_compile_definitions(rcb_xxhash INTERFACE XXH_INLINE_ALL)
 
 add_library(rcb_boost INTERFACE)
 target_include_directories(rcb_boost SYSTEM INTERFACE ${Boost_INCLUDE_DIRS})

@@ -349,7 +349,7 @@ typedef struct rcbd_ask_options {
   int32_t threads;          /* at most so many */
 } rcbd_ask_options;
 #define RCBD_ASK_OPTIONS \
-  { sizeof(rcbd_ask_options), NULL, NULL, NULL, (int64_t)1 << 28, 0, 1 }
+  { sizeof(rcbd_ask_options), NULL, NULL, NULL, 268435456, 0, 1 }
 
 /* part: [count], set to the part that owns each position. Fails with: not_finite, invalid_argument. */
 int rcbd_cuts_owner(rcbd_cuts* cuts, const rcbd_positions* positions, const rcbd_ask_options* options, int32_t* part);
