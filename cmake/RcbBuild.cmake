@@ -7,11 +7,8 @@ option(RCB_TOGETHER "compile all sources of a folder at once, in a third of the 
 option(RCB_WERROR "let a compiler's warning end the build" ${PROJECT_IS_TOP_LEVEL})
 set(RCB_SANITIZE "" CACHE STRING "sanitizers, as -fsanitize takes them (address,undefined or thread)")
 
-# In another project's build (add_subdirectory) the kind of build is that project's to choose; and it may link the client
-# library into a shared library of its own.
-if(NOT PROJECT_IS_TOP_LEVEL)
-  set(CMAKE_POSITION_INDEPENDENT_CODE ON)
-elseif(NOT CMAKE_BUILD_TYPE AND NOT CMAKE_CONFIGURATION_TYPES)
+# In another project's build (add_subdirectory) the kind of build is that project's to choose.
+if(PROJECT_IS_TOP_LEVEL AND NOT CMAKE_BUILD_TYPE AND NOT CMAKE_CONFIGURATION_TYPES)
   set(CMAKE_BUILD_TYPE Release CACHE STRING "build type" FORCE)
 endif()
 set(CMAKE_CXX_STANDARD 20)
@@ -39,7 +36,7 @@ target_compile_options(rcb_flags INTERFACE
   -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion -Wold-style-cast -Wnon-virtual-dtor
   -Woverloaded-virtual -Wno-missing-field-initializers -ffp-contract=off -fno-fast-math
   -fno-semantic-interposition)
-target_compile_definitions(rcb_flags INTERFACE BOOST_ASIO_NO_DEPRECATED)
+target_compile_definitions(rcb_flags INTERFACE BOOST_ASIO_NO_DEPRECATED FMT_HEADER_ONLY XXH_INLINE_ALL)
 target_compile_options(rcb_flags INTERFACE "-ffile-prefix-map=${PROJECT_SOURCE_DIR}/=")  # messages name files from here on
 if(RCB_WERROR)
   target_compile_options(rcb_flags INTERFACE -Werror)
@@ -147,6 +144,9 @@ function(rcb_c_library)
   math(EXPR number "10000 * ${PROJECT_VERSION_MAJOR} + 100 * ${PROJECT_VERSION_MINOR} + ${PROJECT_VERSION_PATCH}")
   target_compile_definitions(rcbd_library PRIVATE RCB_VERSION_NUMBER=${number})
   rcb_prepare(rcbd_library)
+  if(NOT PROJECT_IS_TOP_LEVEL)
+    set_target_properties(rcbd_library PROPERTIES EXCLUDE_FROM_ALL ON)  # it is built where it is linked
+  endif()
   add_library(rcbd::rcbd ALIAS rcbd_library)
 endfunction()
 

@@ -7,11 +7,13 @@ find_package(nlohmann_json REQUIRED)
 find_package(fmt REQUIRED)
 find_package(OpenSSL 3.0 REQUIRED COMPONENTS Crypto SSL)
 
-# Headers alone, as fmt's in the folders of the client library: librcbd.so needs no shared library of either.
+# Of fmt and xxHash the headers alone (rcb_flags has the macros for it): so librcbd.so needs no shared library of either.
+add_library(rcb_fmt INTERFACE)
+target_include_directories(rcb_fmt SYSTEM INTERFACE "$<TARGET_PROPERTY:fmt::fmt,INTERFACE_INCLUDE_DIRECTORIES>")
+
 find_path(RCB_XXHASH_INCLUDE xxhash.h REQUIRED)
 add_library(rcb_xxhash INTERFACE)
 target_include_directories(rcb_xxhash SYSTEM INTERFACE "${RCB_XXHASH_INCLUDE}")
-target_compile_definitions(rcb_xxhash INTERFACE XXH_INLINE_ALL)
 
 add_library(rcb_boost INTERFACE)
 target_include_directories(rcb_boost SYSTEM INTERFACE ${Boost_INCLUDE_DIRS})
