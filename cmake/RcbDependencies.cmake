@@ -9,7 +9,8 @@ find_package(OpenSSL 3.0 REQUIRED COMPONENTS Crypto SSL)
 
 # Of fmt and xxHash the headers alone (rcb_flags has the macros for it): so librcbd.so needs no shared library of either.
 add_library(rcb_fmt INTERFACE)
-target_include_directories(rcb_fmt SYSTEM INTERFACE "$<TARGET_PROPERTY:fmt::fmt,INTERFACE_INCLUDE_DIRECTORIES>")
+get_target_property(rcb_fmt_include fmt::fmt INTERFACE_INCLUDE_DIRECTORIES)
+target_include_directories(rcb_fmt SYSTEM INTERFACE "${rcb_fmt_include}")
 
 find_path(RCB_XXHASH_INCLUDE xxhash.h REQUIRED)
 add_library(rcb_xxhash INTERFACE)

@@ -240,12 +240,12 @@ typedef struct rcbd_step_options {
   double step_seconds;   /* computing time of the solver since its last step; < 0: not told */
   int32_t want_parts;    /* 1: rcbd_result_parts() */
   int32_t want_changed;  /* 1: rcbd_result_changed() */
+  int32_t send;          /* 1: the positions travel, also where the scene does without */
   int32_t threads;       /* at most so many */
-  int32_t reserved;
   double deadline_seconds;
 } rcbd_step_options;
 #define RCBD_STEP_OPTIONS \
-  { sizeof(rcbd_step_options), -1, NULL, NULL, 0, 0, -1, 0, 0, 1, 0, 60 }
+  { sizeof(rcbd_step_options), -1, NULL, NULL, 0, 0, -1, 0, 0, 0, 1, 60 }
 
 /* Makes a step with all rows of this process; there may be none. Returns when it is made on all ranks or on none. After
    a failure the step before stands. Only after deadline_exceeded, unavailable and interrupted, and with several seats
@@ -259,8 +259,9 @@ int rcbd_step_begin(rcbd_scene* scene, const rcbd_positions* positions, const rc
 /* Waits at most so long (0: not at all; < 0: until it is done) and returns RCBD_PENDING if it isn't done; else what
    rcbd_step() would have. May be asked again, by any thread. result: may be NULL. */
 int rcbd_wait(rcbd_op* op, double seconds, rcbd_result** result);
-/* Ends the step with `interrupted`, unless it is done before that is noticed (ten times a second). For other threads
-   and signal handlers. Releasing the last handle of a step that isn't done cancels it and waits for that. */
+/* Ends the step with `interrupted`, unless it is done before that is noticed: within 0.1 s, or 2 s where the service has
+   gone. For other threads and signal handlers. Releasing the last handle of a step that isn't done cancels it and waits
+   for that. */
 void rcbd_cancel(rcbd_op* op);
 
 /* What the service tells of a step. Texts belong to the result. */
@@ -358,7 +359,8 @@ int rcbd_cuts_owner(rcbd_cuts* cuts, const rcbd_positions* positions, const rcbd
    own part needs moved images alone. Fails with: not_finite, invalid_argument, too_large. */
 int rcbd_cuts_halo(rcbd_cuts* cuts, const rcbd_positions* positions, const rcbd_near* near,
                    const rcbd_ask_options* options, rcbd_lists** lists);
-/* One list: the parts within near's width of this part's region, ascending, with shifts. */
+/* One list: the parts within near's width of this part's region, ascending, with shifts. Fails with: not_found (no such
+   part), invalid_argument. */
 int rcbd_cuts_neighbours(rcbd_cuts* cuts, int32_t part, const rcbd_near* near, rcbd_lists** lists);
 /* One list: the parts whose region touches the box [lo, hi], or one of its images, ascending; no shifts. lo, hi:
    [dims]. near: only its periodic box counts; NULL: not periodic. */

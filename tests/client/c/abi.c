@@ -48,8 +48,8 @@ int main(void) {
   FIELD(rcbd_step_options, step_seconds);
   FIELD(rcbd_step_options, want_parts);
   FIELD(rcbd_step_options, want_changed);
+  FIELD(rcbd_step_options, send);
   FIELD(rcbd_step_options, threads);
-  FIELD(rcbd_step_options, reserved);
   FIELD(rcbd_step_options, deadline_seconds);
   TYPE(rcbd_report);
   FIELD(rcbd_report, size);

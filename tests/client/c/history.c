@@ -122,6 +122,7 @@ int main(int count, char** arguments) {
     gather(&s, step);
     positions = rcbd_rows(s.xyz, s.mine, (int32_t)s.dims);
     options.ids = s.ids;
+    options.send = step == s.steps - 1;
     must(rcbd_step(scene, &positions, &options, &result));
     must(rcbd_result_report(result, &report));
     must(rcbd_scene_cuts(scene, &cuts));
