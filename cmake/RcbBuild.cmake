@@ -7,11 +7,8 @@ option(RCB_TOGETHER "compile all sources of a folder at once, in a third of the 
 option(RCB_WERROR "let a compiler's warning end the build" ${PROJECT_IS_TOP_LEVEL})
 set(RCB_SANITIZE "" CACHE STRING "sanitizers, as -fsanitize takes them (address,undefined or thread)")
 
-# In another project's build (add_subdirectory) the kind of build is that project's to choose; and it may link the client
-# library into a shared library of its own.
-if(NOT PROJECT_IS_TOP_LEVEL)
-  set(CMAKE_POSITION_INDEPENDENT_CODE ON)
-elseif(NOT CMAKE_BUILD_TYPE AND NOT CMAKE_CONFIGURATION_TYPES)
+# In another project's build (add_subdirectory) the kind of build is that project's to choose.
+if(PROJECT_IS_TOP_LEVEL AND NOT CMAKE_BUILD_TYPE AND NOT CMAKE_CONFIGURATION_TYPES)
   set(CMAKE_BUILD_TYPE Release CACHE STRING "build type" FORCE)
 endif()
 set(CMAKE_CXX_STANDARD 20)
@@ -37,8 +34,9 @@ add_library(rcb_flags INTERFACE)
 target_link_libraries(rcb_flags INTERFACE rcb_usage)
 target_compile_options(rcb_flags INTERFACE
   -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion -Wold-style-cast -Wnon-virtual-dtor
-  -Woverloaded-virtual -Wno-missing-field-initializers -ffp-contract=off -fno-fast-math)
-target_compile_definitions(rcb_flags INTERFACE BOOST_ASIO_NO_DEPRECATED)
+  -Woverloaded-virtual -Wno-missing-field-initializers -ffp-contract=off -fno-fast-math
+  -fno-semantic-interposition)
+target_compile_definitions(rcb_flags INTERFACE BOOST_ASIO_NO_DEPRECATED FMT_HEADER_ONLY XXH_INLINE_ALL)
 target_compile_options(rcb_flags INTERFACE "-ffile-prefix-map=${PROJECT_SOURCE_DIR}/=")  # messages name files from here on
 if(RCB_WERROR)
   target_compile_options(rcb_flags INTERFACE -Werror)
@@ -130,4 +128,39 @@ function(rcb_program name place)
   target_link_libraries(${name} PRIVATE rcb_flags ${ARG_LINKS})
   rcb_prepare(${name})
   target_compile_definitions(${name} PRIVATE RCB_VERSION="${PROJECT_VERSION}")
+endfunction()
+
+# rcb_c_library(): the shared library of client/c, DIR/lib/librcbd.so.1. It exports what client/include/rcbd/rcbd.h
+# declares and nothing else, and stays loaded, since a look-up of a host name may outlast a call.
+function(rcb_c_library)
+  set(map "${PROJECT_SOURCE_DIR}/client/c/librcbd.map")
+  rcb_sources(sources client/c)
+  add_library(rcbd_library SHARED ${sources})
+  set_target_properties(rcbd_library PROPERTIES OUTPUT_NAME rcbd SOVERSION 1 VERSION 1 LINK_DEPENDS "${map}"
+                                                LIBRARY_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/lib")
+  target_include_directories(rcbd_library INTERFACE "${PROJECT_SOURCE_DIR}/client/include")
+  target_link_libraries(rcbd_library PRIVATE rcb_flags rcb::client_lib)
+  target_link_options(rcbd_library PRIVATE "-Wl,--version-script=${map}" -Wl,-z,nodelete -Wl,-z,defs -Wl,--as-needed)
+  math(EXPR number "10000 * ${PROJECT_VERSION_MAJOR} + 100 * ${PROJECT_VERSION_MINOR} + ${PROJECT_VERSION_PATCH}")
+  target_compile_definitions(rcbd_library PRIVATE RCB_VERSION_NUMBER=${number})
+  rcb_prepare(rcbd_library)
+  if(NOT PROJECT_IS_TOP_LEVEL)
+    set_target_properties(rcbd_library PROPERTIES EXCLUDE_FROM_ALL ON)  # it is built where it is linked
+  endif()
+  add_library(rcbd::rcbd ALIAS rcbd_library)
+endfunction()
+
+# rcb_c_program(serial_c client/examples/c/serial.c): a program in C99 that knows rcbd by librcbd.so alone.
+function(rcb_c_program name source)
+  add_executable(${name} "${PROJECT_SOURCE_DIR}/${source}")
+  set_target_properties(${name} PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON C_EXTENSIONS OFF)
+  target_compile_options(${name} PRIVATE -Wall -Wextra -pedantic)
+  if(RCB_WERROR)
+    target_compile_options(${name} PRIVATE -Werror)
+  endif()
+  if(RCB_SANITIZE)  # whose library must be the first that a program loads
+    target_compile_options(${name} PRIVATE -fsanitize=${RCB_SANITIZE})
+    target_link_options(${name} PRIVATE -fsanitize=${RCB_SANITIZE})
+  endif()
+  target_link_libraries(${name} PRIVATE rcbd::rcbd Threads::Threads m)
 endfunction()

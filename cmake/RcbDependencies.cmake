@@ -7,11 +7,14 @@ find_package(nlohmann_json REQUIRED)
 find_package(fmt REQUIRED)
 find_package(OpenSSL 3.0 REQUIRED COMPONENTS Crypto SSL)
 
+# Of fmt and xxHash the headers alone (rcb_flags has the macros for it): so librcbd.so needs no shared library of either.
+add_library(rcb_fmt INTERFACE)
+get_target_property(rcb_fmt_include fmt::fmt INTERFACE_INCLUDE_DIRECTORIES)
+target_include_directories(rcb_fmt SYSTEM INTERFACE "${rcb_fmt_include}")
+
 find_path(RCB_XXHASH_INCLUDE xxhash.h REQUIRED)
-find_library(RCB_XXHASH_LIBRARY xxhash REQUIRED)
 add_library(rcb_xxhash INTERFACE)
 target_include_directories(rcb_xxhash SYSTEM INTERFACE "${RCB_XXHASH_INCLUDE}")
-target_link_libraries(rcb_xxhash INTERFACE "${RCB_XXHASH_LIBRARY}")
 
 add_library(rcb_boost INTERFACE)
 target_include_directories(rcb_boost SYSTEM INTERFACE ${Boost_INCLUDE_DIRS})

@@ -262,6 +262,8 @@ class Scene {
   Result<std::vector<std::span<double>>> position_axes(std::size_t count);
   Result<std::span<float>> position_rows_f4(std::size_t count);
   Result<std::vector<std::span<float>>> position_axes_f4(std::size_t count);
+  // What keeps these arrays where they are for as long as it is held, also when there are others, or the Scene has gone.
+  std::shared_ptr<const void> position_memory() const;
   std::optional<std::int64_t> last_step() const;
   // The cuts after the last step that was answered here, which came with that answer, or before any the cuts in force.
   // Errors: also not_found (no positions yet).

@@ -9,6 +9,7 @@
 
 #include "common/base/axis_names.hpp"
 #include "common/base/index.hpp"
+#include "common/base/signals.hpp"
 
 namespace rcb::cuts {
 namespace {
@@ -57,6 +58,7 @@ Status share_rows(std::size_t count, std::size_t shares,
   std::vector<std::thread> threads;
   threads.reserve(shares);
   for (std::size_t k = 1; k < shares; ++k) try {
+      const SignalsBlocked blocked;
       threads.emplace_back(run, k);
     } catch (const std::exception&) {  // no thread, or no memory for one
       run(k);

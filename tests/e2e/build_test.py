@@ -23,8 +23,8 @@ CHECK(sizeof(rcb::client::ConnectOptions) > 0);
 #ifdef NDEBUG
 #error "the asserts of this project are gone"
 #endif
-#ifdef BOOST_ASIO_NO_DEPRECATED
-#error "what this project may use of Asio is its own affair"
+#if defined(BOOST_ASIO_NO_DEPRECATED) || defined(FMT_HEADER_ONLY) || defined(XXH_INLINE_ALL)
+#error "how this project uses other libraries is its own affair"
 #endif
 bool reaches() { return rcb::client::Client::connect({.name = "host"}).ok(); }
 """

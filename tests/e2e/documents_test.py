@@ -33,18 +33,27 @@ void advance(std::vector<double>& xyz) {
 
 # One seat in a box that is periodic along its first axis.
 C_SOLVER = """
-int main() {
-  void* handle = nullptr;
-  double xyz[24] = {}, lo[3] = {0, -HUGE_VAL, -HUGE_VAL}, hi[3] = {8, HUGE_VAL, HUGE_VAL};
-  std::int64_t ids[8], leaving = 0, entries = 0, row[4];
-  int shift[12];
-  for (int k = 0; k < 8; ++k) xyz[3 * k] = ids[k] = k;
-  if (rcb_create("wrapped", 2, 0.1) || rcb_open("wrapped", 0, 1, &handle)) return 1;
-  if (rcb_step(handle, xyz, ids, 8, &leaving) || rcb_halo(handle, xyz, ids, 8, 1.5, lo, hi, &entries)) return 1;
-  std::printf("%d %d\\n", int(leaving), int(entries));
-  if (entries == 3) rcb_halo_entries(handle, row, shift);
-  for (int k = 0; k < 3; ++k) std::printf("%d: %d %d %d\\n", int(row[k]), shift[3 * k], shift[3 * k + 1], shift[3 * k + 2]);
-  rcb_close(handle);
+#include <inttypes.h>
+#include <math.h>
+static int left = 0;
+static void hand_over(int64_t row, int seat) { left += (int)row + seat + 1; }
+int main(void) {
+  double xyz[24] = {0}, lo[3] = {0, -HUGE_VAL, -HUGE_VAL}, hi[3] = {8, HUGE_VAL, HUGE_VAL};
+  int64_t ids[8], k;
+  rcbd_lists_view view = RCBD_LISTS_VIEW;
+  rcbd_lists *lists;
+  rcbd_scene *scene;
+  for (k = 0; k < 8; ++k) xyz[3 * k] = (double)(ids[k] = k);
+  scene = open_scene("wrapped", 2, 0, 1);
+  step(scene, xyz, ids, 8, hand_over);
+  lists = halo(scene, xyz, ids, 8, 1.5, lo, hi, 1);
+  must(rcbd_lists_read(lists, &view));
+  printf("%d %d\\n", left, (int)view.entries);
+  for (k = 0; k < view.entries; ++k)
+    printf("%d: %d %d %d\\n", (int)view.item[k], view.shift[3 * k], view.shift[3 * k + 1], view.shift[3 * k + 2]);
+  rcbd_release(lists);
+  rcbd_release(scene);
+  return 0;
 }
 """
 
@@ -82,7 +91,7 @@ class Documents(ServiceTest):
                                   "common_cuts", "common_particles", "common_files", "common_base")]
         compiled = subprocess.run([compiler, "-std=c++20", "-I", ROOT, source, "-o", program,
                                    *filter(os.path.exists, libraries),
-                                   "-lfmt", "-lxxhash", "-lssl", "-lcrypto", "-lpthread"],
+                                   "-lssl", "-lcrypto", "-lpthread"],
                                   capture_output=True, text=True, timeout=200)
         self.assertEqual(compiled.returncode, 0, compiled.stderr)
         return program
@@ -90,8 +99,11 @@ class Documents(ServiceTest):
     def test_the_passage_of_the_parallel_example(self):
         self.assertIn(block("docs/coupling.md", "cpp"), text_of(ROOT, "client", "examples", "cpp", "dem_parallel.cpp"))
 
-    def test_the_wrapper_for_c(self):
-        program = self.compile("c++", "#include <cmath>\n" + block("docs/coupling.md", "cpp", 1) + C_SOLVER)
+    def test_a_seat_in_c(self):
+        source, program, lib = os.path.join(self.dir, "solver.c"), os.path.join(self.dir, "solver"), os.path.join(BIN, "..", "lib")
+        write_text(source, block("docs/coupling.md", "c") + C_SOLVER)
+        run("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-I", os.path.join(ROOT, "client", "include"), source, "-o",
+            program, "-L", lib, "-lrcbd", "-Wl,-rpath," + os.path.abspath(lib), program="/usr/bin/cc", check=True)
         done = run(program=program, endpoint=self.service.endpoint, check=True)
         # Eight places on a line. Both halves are this seat's, so it needs only images: those within 1.5 of the line.
         self.assertEqual(done.stdout.splitlines(), ["0 3", "0: 1 0 0", "1: 1 0 0", "7: -1 0 0"])

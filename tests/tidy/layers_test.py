@@ -46,6 +46,8 @@ ARROWS = {
     "client/lib/connect": ["common/wire", "common/auth", "common/tls", "common/files"],
     "client/lib/session": ["client/lib", "client/lib/connect", "common/layout"],
     "client/lib/scene": ["client/lib/session"],
+    "client/include/rcbd": [],
+    "client/c": ["client/include/rcbd", "client/lib", "common/wire"],
     "client/launch/job": ["client/lib", "client/lib/connect"],
     "client/launch": ["client/launch/job"],
     "client/cli/print": ["client/lib", "common/io"],

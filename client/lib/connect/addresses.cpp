@@ -15,6 +15,8 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include "common/base/signals.hpp"
+
 namespace rcb::client {
 namespace {
 
@@ -49,6 +51,7 @@ Result<std::vector<Address>> look_up_name(const Endpoint& endpoint, const Deadli
     work();
   } else {
     try {
+      const SignalsBlocked blocked;
       std::thread(work).detach();
     } catch (const std::system_error& none) {
       return Status(Code::unavailable,

@@ -36,6 +36,8 @@ Result<std::vector<std::span<float>>> Scene::position_axes_f4(std::size_t count)
   return state_->arrays().axes<float>(count, state_->dims());
 }
 
+std::shared_ptr<const void> Scene::position_memory() const { return state_->arrays().given(); }
+
 Result<cuts::Cuts> Scene::cuts(double deadline_seconds) { return state_->current_cuts(deadline_seconds); }
 
 Result<Scene> Client::open_scene(const std::string& name, const SeatOptions& options) {

@@ -20,18 +20,18 @@ std::size_t column_bytes(const Column& column, std::size_t count) { return (coun
 
 bool SharedArrays::Block::covers(const void* from, std::size_t bytes) const {
   const auto* const at = static_cast<const std::byte*>(from);
-  const auto held = memory.bytes();
+  const auto held = memory->bytes();
   return !held.empty() && at >= held.data() && bytes <= held.size() &&
          static_cast<std::size_t>(at - held.data()) <= held.size() - bytes;
 }
 
 // An eighth more than is asked for, so that a scene that grows slowly isn't shared at every step.
 Status SharedArrays::make_room(Block& block, std::size_t bytes) {
-  if (bytes <= block.memory.size()) return {};
+  if (bytes <= block.memory->size()) return {};
   block = {.replaces = block.number != 0 ? block.number : block.replaces};
   auto larger = SharedMemory::create(bytes + bytes / 8);
   if (!larger) return larger.status();
-  block.memory = std::move(*larger);
+  *block.memory = std::move(*larger);
   return {};
 }
 
@@ -39,7 +39,7 @@ Status SharedArrays::share(Block& block, Session& session, const Deadline& deadl
   const bool known = block.shared_on == session.data_generation();
   if (known && !block.anew) return {};
   if (!known) block.number = session.next_memory();  // numbers rise over a connection
-  if (Status status = session.share(block.memory, block.number, deadline); !status) return status;
+  if (Status status = session.share(*block.memory, block.number, deadline); !status) return status;
   block.shared_on = session.data_generation();
   block.anew = false;
   if (block.replaces != 0) session.unshare(std::exchange(block.replaces, 0), deadline);
@@ -55,7 +55,7 @@ void SharedArrays::unshare(Session& session, const Deadline& deadline) {
 }
 
 std::byte* SharedArrays::first_given() {
-  return given_.memory.size() > 0 ? given_.memory.writable().data() : plain_.data();
+  return plain_ ? plain_->data() : given_.memory->writable().data();
 }
 
 Result<SharedArrays::Room> SharedArrays::make_given(std::size_t count, int dims, std::size_t width, Order order) {
@@ -63,8 +63,8 @@ Result<SharedArrays::Room> SharedArrays::make_given(std::size_t count, int dims,
     return Status(Code::too_large, fmt::format("{} positions, at most {} are taken", count, wire::kParticlesMax));
   const auto axes = static_cast<std::size_t>(dims);
   if (order != order_ || width * axes != point_bytes_) {  // what is there means nothing in another order
-    given_.memory = {};
-    plain_.release();
+    given_.memory = std::make_shared<SharedMemory>();
+    plain_.reset();
     capacity_ = 0;
     order_ = order;
     point_bytes_ = width * axes;
@@ -75,18 +75,19 @@ Result<SharedArrays::Room> SharedArrays::make_given(std::size_t count, int dims,
     const std::size_t per_page = kPage / width;
     const std::size_t capacity = (count + count / 8 + per_page) / per_page * per_page;
     auto memory = SharedMemory::create(capacity * point_bytes_);
-    Buffer<std::byte> plain;
+    std::shared_ptr<Buffer<std::byte>> plain;
     if (!memory) {
-      if (!plain.try_reserve(capacity * point_bytes_))
+      plain = std::make_shared<Buffer<std::byte>>();
+      if (!plain->try_reserve(capacity * point_bytes_))
         return Status(Code::too_large, fmt::format("no memory for {} positions", count));
-      plain.resize(capacity * point_bytes_);
+      plain->resize(capacity * point_bytes_);
     }
-    std::byte* const to = memory ? memory->writable().data() : plain.data();
+    std::byte* const to = memory ? memory->writable().data() : plain->data();
     const std::byte* const from = first_given();
     if (old > 0 && order == Order::rows) std::memcpy(to, from, old * point_bytes_);
     for (std::size_t a = 0; old > 0 && order == Order::axes && a < axes; ++a)
       std::memcpy(to + a * capacity * width, from + a * old * width, old * width);
-    given_ = {.memory = memory ? std::move(*memory) : SharedMemory(),
+    given_ = {.memory = std::make_shared<SharedMemory>(memory ? std::move(*memory) : SharedMemory()),
               .replaces = given_.number != 0 ? given_.number : given_.replaces};
     plain_ = std::move(plain);
     capacity_ = capacity;
@@ -103,7 +104,7 @@ bool SharedArrays::gave(std::span<const Column> axes, std::size_t count) const {
 
 Result<std::span<std::uint64_t>> SharedArrays::row_list(std::size_t count) {
   if (Status status = make_room(lists_, 8 * count); !status) return status;
-  return std::span(reinterpret_cast<std::uint64_t*>(lists_.memory.writable().data()), count);
+  return std::span(reinterpret_cast<std::uint64_t*>(lists_.memory->writable().data()), count);
 }
 
 Result<wire::Json> SharedArrays::describe(Session& session, std::span<const Column> columns, std::size_t count,
@@ -122,10 +123,10 @@ Result<wire::Json> SharedArrays::describe(Session& session, std::span<const Colu
 
   wire::Json arrays = wire::Json::array();
   const auto add = [&arrays](const Block& block, const std::string& name, const void* first, std::size_t stride) {
-    const auto offset = static_cast<const std::byte*>(first) - block.memory.bytes().data();
+    const auto offset = static_cast<const std::byte*>(first) - block.memory->bytes().data();
     arrays.push_back({{"name", name}, {"number", block.number}, {"offset", offset}, {"stride", stride}});
   };
-  std::byte* to = copies_.memory.writable().data();
+  std::byte* to = copies_.memory->writable().data();
   const bool rows = !in_place && interleaved(axes);  // these stay one array, which is copied in one pass
   if (rows) std::memcpy(to, axes[0].first, count * particle_bytes(axes));
   for (const Column& column : columns) {
@@ -133,7 +134,7 @@ Result<wire::Json> SharedArrays::describe(Session& session, std::span<const Colu
       add(given_, column.name, column.first, column.stride * column.bytes);
     } else if (rows && column.is_axis()) {
       const auto at = static_cast<const std::byte*>(column.first) - static_cast<const std::byte*>(axes[0].first);
-      add(copies_, column.name, copies_.memory.bytes().data() + at, particle_bytes(axes));
+      add(copies_, column.name, copies_.memory->bytes().data() + at, particle_bytes(axes));
       to += column_bytes(column, count);
     } else {
       gather(column, {.count = count}, to);
@@ -141,7 +142,7 @@ Result<wire::Json> SharedArrays::describe(Session& session, std::span<const Colu
       to += column_bytes(column, count);
     }
   }
-  if (listed > 0) add(lists_, "row", lists_.memory.bytes().data(), 8);
+  if (listed > 0) add(lists_, "row", lists_.memory->bytes().data(), 8);
   return arrays;
 }
 

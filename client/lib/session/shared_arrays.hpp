@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <vector>
 
@@ -41,6 +42,10 @@ class SharedArrays {
   // connections. Errors: of Session::share, io_error.
   Result<wire::Json> describe(Session& session, std::span<const Column> columns, std::size_t count, std::size_t listed,
                               const Deadline& deadline);
+  // What keeps the arrays given last where they are, for as long as it is held.
+  std::shared_ptr<const void> given() const {
+    return plain_ ? std::shared_ptr<const void>(plain_) : std::shared_ptr<const void>(given_.memory);
+  }
   // Whether these axes, of `count` positions, are in the arrays given out.
   bool gave(std::span<const Column> axes, std::size_t count) const;
   // The next push shares its memory anew.
@@ -59,7 +64,7 @@ class SharedArrays {
 
   // Memory and where it is known.
   struct Block {
-    SharedMemory memory;
+    std::shared_ptr<SharedMemory> memory = std::make_shared<SharedMemory>();
     std::int64_t number = 0;      // by which the ranks know it; 0: not named yet
     std::int64_t replaces = 0;    // the number of the memory before it, which the ranks may still hold; 0: none
     std::uint64_t shared_on = 0;  // Session::data_generation() at which it was shared
@@ -70,7 +75,7 @@ class SharedArrays {
   static Status make_room(Block& block, std::size_t bytes);
   static Status share(Block& block, Session& session, const Deadline& deadline);
   Block given_;              // to the solver
-  Buffer<std::byte> plain_;  // instead, where memory can't be shared
+  std::shared_ptr<Buffer<std::byte>> plain_;  // instead, where memory can't be shared
   Order order_ = Order::rows;
   std::size_t capacity_ = 0;  // positions in given_
   std::size_t point_bytes_ = 0;

@@ -1,0 +1,174 @@
+// Clients: connecting, turns, notices, and the thread for steps that were begun.
+#include "client/c/client.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <system_error>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "client/c/call.hpp"
+#include "client/c/scene.hpp"
+#include "client/c/step.hpp"
+#include "client/c/structs.hpp"
+#include "common/base/signals.hpp"
+
+namespace rcb::c {
+namespace {
+
+std::chrono::duration<double> wait_of(double seconds) {
+  constexpr double kDay = 86400;
+  return std::chrono::duration<double>(seconds > 0 ? std::min(seconds, kDay) : 0);  // NaN: 0
+}
+
+Result<client::Path> path_of(const char* name) {
+  using client::Path;
+  const std::string_view text = name == nullptr ? "auto" : name;
+  if (text == "auto") return Path::automatic;
+  if (text == "shared") return Path::shared;
+  if (text == "direct") return Path::direct;
+  if (text == "gateway") return Path::gateway;
+  return Status(Code::invalid_argument, fmt::format("the path '{}'", text), "give auto, shared, direct or gateway");
+}
+
+}  // namespace
+
+Status Turns::take(double seconds) {
+  std::unique_lock lock(mutex_);
+  if (!given_.wait_for(lock, wait_of(seconds), [this] { return !taken_; }))
+    return {Code::busy, "another call of this client, in another thread, is still under way",
+            "wait for it, or give each thread a client of its own"};
+  taken_ = true;
+  return {};
+}
+
+void Turns::take() {
+  std::unique_lock lock(mutex_);
+  given_.wait(lock, [this] { return !taken_; });  // as long as the call under way may take, which has a deadline
+  taken_ = true;
+}
+
+void Turns::give() {
+  const std::lock_guard lock(mutex_);
+  taken_ = false;
+  given_.notify_one();
+}
+
+void Notices::add(const std::string& text) {
+  const std::lock_guard lock(mutex_);
+  if (texts_.size() == kMost) texts_.pop_front();
+  texts_.push_back(text);
+}
+
+std::optional<std::string> Notices::take() {
+  const std::lock_guard lock(mutex_);
+  if (texts_.empty()) return std::nullopt;
+  std::optional<std::string> text(std::move(texts_.front()));
+  texts_.pop_front();
+  return text;
+}
+
+Worker::~Worker() {
+  {
+    const std::lock_guard lock(mutex_);
+    ending_ = true;
+    changed_.notify_all();
+  }
+  if (thread_.joinable()) thread_.join();
+}
+
+Status Worker::add(rcbd_op& op) {
+  const std::lock_guard lock(mutex_);
+  if (!thread_.joinable()) try {
+      const SignalsBlocked blocked;
+      thread_ = std::thread([this] { run(); });
+    } catch (const std::system_error& fault) {
+      return {Code::unavailable, fmt::format("there is no thread for the step: {}", fault.what()),
+              "see ulimit -u, or use rcbd_step"};
+    }
+  begun_.push_back(&op);
+  changed_.notify_all();
+  return {};
+}
+
+bool Worker::wait(const rcbd_op& op, double seconds) {
+  std::unique_lock lock(mutex_);
+  const auto done = [&op] { return op.done; };
+  if (seconds >= 0) return changed_.wait_for(lock, wait_of(seconds), done);
+  changed_.wait(lock, done);  // a step ends at its deadline
+  return true;
+}
+
+void Worker::run() {
+  const DefaultFloatingPoint guard;
+  std::unique_lock lock(mutex_);
+  while (true) {
+    changed_.wait(lock, [this] { return ending_ || !begun_.empty(); });
+    if (begun_.empty()) return;
+    rcbd_op& op = *begun_.front();
+    begun_.pop_front();
+    lock.unlock();
+    op.run();
+    lock.lock();
+    op.done = true;  // from here on its last holder may free it
+    changed_.notify_all();
+  }
+}
+
+}  // namespace rcb::c
+
+using namespace rcb;  // NOLINT: the functions below are not of a namespace
+
+Status rcbd_client::connect(client::ConnectOptions options) {
+  options.on_notice = [this](const std::string& text) { notices.add(text); };
+  options.on_wait = [this] { return !interrupted.exchange(false) && (cancelled == nullptr || !cancelled->load()); };
+  auto connected = client::Client::connect(options);
+  if (connected) client.emplace(std::move(*connected));
+  return connected.status();
+}
+
+Status rcbd_client::close() {
+  turns.take();
+  const Turn turn{turns};
+  for (rcbd_scene* const one : scenes) one->scene.reset();
+  scenes.clear();
+  client.reset();
+  return {};
+}
+
+int rcbd_connect(const char* endpoint, const rcbd_connect_options* options, rcbd_client** to) {
+  return c::call([&]() -> Status {
+    if (to == nullptr) return {Code::invalid_argument, "no room for the client: a null pointer"};
+    *to = nullptr;
+    auto given = c::read_struct(options, rcbd_connect_options RCBD_CONNECT_OPTIONS, "RCBD_CONNECT_OPTIONS");
+    if (!given) return given.status();
+    const auto path = c::path_of(given->path);
+    if (!path) return path.status();
+    auto made = std::make_unique<rcbd_client>();
+    Status status = made->connect({.endpoint = endpoint == nullptr ? "" : endpoint,
+                                   .deadline_seconds = given->deadline_seconds,
+                                   .name = given->name == nullptr ? "librcbd" : given->name,
+                                   .token = given->token == nullptr ? "" : given->token,
+                                   .path = *path,
+                                   .outlive = given->outlive != 0});
+    if (status) *to = made.release();
+    return status;
+  });
+}
+
+const char* rcbd_notice(rcbd_client* client) {
+  static thread_local std::string last;
+  const int code = c::call([&]() -> Status {
+    if (Status usable = c::check(client); !usable) return usable;
+    auto text = client->notices.take();
+    if (!text) return {Code::not_found, "no notice"};
+    last = std::move(*text);
+    return {};
+  });
+  return code == RCBD_OK ? last.c_str() : nullptr;
+}
+
+void rcbd_interrupt(rcbd_client* client) {
+  if (client != nullptr && client->alive() && client->in_its_process()) client->interrupted = true;
+}

@@ -1,0 +1,103 @@
+// rcbd_client: a client, whose calls take turns, and the thread that makes the steps that were begun.
+//
+// Invariants
+// 1. What a C++ Client or Scene is asked, it is asked by who holds the turn; so they belong to one thread at a time.
+// 2. rcbd_interrupt() and rcbd_cancel() only set atomic flags, which the call under way asks for while it waits.
+// 3. The thread runs ops in the order in which they were begun. An op lives until it is done: its last holder waits.
+#pragma once
+
+#include <atomic>
+#include <condition_variable>
+#include <deque>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <string>
+#include <thread>
+
+#include "client/c/handle.hpp"
+#include "client/include/rcbd/rcbd.h"
+#include "client/lib/client.hpp"
+
+namespace rcb::c {
+
+// Lets one call after another go on.
+class Turns {
+ public:
+  // Errors: busy, after so many seconds.
+  Status take(double seconds);
+  void take();
+  void give();
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable given_;
+  bool taken_ = false;
+};
+
+// What the library has to say, until it is asked for.
+class Notices {
+ public:
+  void add(const std::string& text);
+  std::optional<std::string> take();
+
+ private:
+  static constexpr std::size_t kMost = 100;
+  std::mutex mutex_;
+  std::deque<std::string> texts_;
+};
+
+class Worker {
+ public:
+  Worker() = default;
+  Worker(const Worker&) = delete;
+  Worker& operator=(const Worker&) = delete;
+  ~Worker();
+
+  // Errors: unavailable (the system gives no thread).
+  Status add(rcbd_op& op);
+  // Whether it is done; waits so long, for ever if < 0.
+  bool wait(const rcbd_op& op, double seconds);
+
+ private:
+  void run();
+
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::deque<rcbd_op*> begun_;
+  bool ending_ = false;
+  std::thread thread_;
+};
+
+}  // namespace rcb::c
+
+struct rcbd_client final : rcb::c::Handle {
+  static constexpr auto kKind = rcb::c::Kind::client;
+  rcbd_client() : Handle(kKind) {}
+  ~rcbd_client() override = default;
+
+  rcb::Status connect(rcb::client::ConnectOptions options);
+  rcb::Status close() override;
+  // Does the work when it is this call's turn. Errors also: busy, invalid_argument (it is closed).
+  template <typename Work>
+  rcb::Status in_turn(double seconds, const Work& work) {
+    if (rcb::Status status = turns.take(seconds); !status) return status;
+    const Turn turn{turns};
+    if (!client) return {rcb::Code::invalid_argument, "the client was closed"};
+    return work();
+  }
+  // Gives the turn back.
+  struct Turn {
+    rcb::c::Turns& turns;
+    ~Turn() { turns.give(); }
+  };
+
+  rcb::c::Turns turns;
+  std::atomic<bool> interrupted{false};
+  rcb::c::Notices notices;
+  // Of who has the turn:
+  const std::atomic<bool>* cancelled = nullptr;  // of the op that is run
+  std::optional<rcb::client::Client> client;     // none: closed
+  std::set<rcbd_scene*> scenes;                  // those that are not closed
+  rcb::c::Worker worker;                         // last: it ends first
+};

@@ -1,0 +1,116 @@
+/* Prints what programs that were compiled against rcbd.h rest on: the places of all fields. tests/client/c/abi.txt
+ * keeps it. */
+#include <rcbd/rcbd.h>
+#include <stdio.h>
+
+#define TYPE(type) printf("%s %zu\n", #type, sizeof(type))
+#define FIELD(type, field) printf("%s.%s %zu %zu\n", #type, #field, offsetof(type, field), sizeof(((type*)0)->field))
+
+int main(void) {
+  TYPE(rcbd_connect_options);
+  FIELD(rcbd_connect_options, size);
+  FIELD(rcbd_connect_options, name);
+  FIELD(rcbd_connect_options, token);
+  FIELD(rcbd_connect_options, path);
+  FIELD(rcbd_connect_options, deadline_seconds);
+  FIELD(rcbd_connect_options, outlive);
+  FIELD(rcbd_connect_options, reserved);
+  TYPE(rcbd_scene_options);
+  FIELD(rcbd_scene_options, size);
+  FIELD(rcbd_scene_options, parts);
+  FIELD(rcbd_scene_options, dims);
+  FIELD(rcbd_scene_options, method);
+  FIELD(rcbd_scene_options, policy);
+  FIELD(rcbd_scene_options, positions);
+  FIELD(rcbd_scene_options, part_sizes);
+  FIELD(rcbd_scene_options, tolerance);
+  FIELD(rcbd_scene_options, axis_hysteresis);
+  FIELD(rcbd_scene_options, cut_tolerance);
+  FIELD(rcbd_scene_options, replace);
+  FIELD(rcbd_scene_options, threads);
+  FIELD(rcbd_scene_options, seat);
+  FIELD(rcbd_scene_options, seats);
+  FIELD(rcbd_scene_options, deadline_seconds);
+  TYPE(rcbd_positions);
+  FIELD(rcbd_positions, size);
+  FIELD(rcbd_positions, count);
+  FIELD(rcbd_positions, stride);
+  FIELD(rcbd_positions, dims);
+  FIELD(rcbd_positions, single);
+  FIELD(rcbd_positions, axis);
+  TYPE(rcbd_step_options);
+  FIELD(rcbd_step_options, size);
+  FIELD(rcbd_step_options, step);
+  FIELD(rcbd_step_options, ids);
+  FIELD(rcbd_step_options, weights);
+  FIELD(rcbd_step_options, inserted);
+  FIELD(rcbd_step_options, removed);
+  FIELD(rcbd_step_options, step_seconds);
+  FIELD(rcbd_step_options, want_parts);
+  FIELD(rcbd_step_options, want_changed);
+  FIELD(rcbd_step_options, send);
+  FIELD(rcbd_step_options, threads);
+  FIELD(rcbd_step_options, deadline_seconds);
+  TYPE(rcbd_report);
+  FIELD(rcbd_report, size);
+  FIELD(rcbd_report, step);
+  FIELD(rcbd_report, epoch);
+  FIELD(rcbd_report, n);
+  FIELD(rcbd_report, error_before);
+  FIELD(rcbd_report, error);
+  FIELD(rcbd_report, imbalance);
+  FIELD(rcbd_report, drifted);
+  FIELD(rcbd_report, moved);
+  FIELD(rcbd_report, migrated);
+  FIELD(rcbd_report, inserted);
+  FIELD(rcbd_report, removed);
+  FIELD(rcbd_report, strangers);
+  FIELD(rcbd_report, weights_as_zero);
+  FIELD(rcbd_report, positions_step);
+  FIELD(rcbd_report, bytes);
+  FIELD(rcbd_report, scanned);
+  FIELD(rcbd_report, searched);
+  FIELD(rcbd_report, rounds);
+  FIELD(rcbd_report, reductions);
+  FIELD(rcbd_report, seconds_receive);
+  FIELD(rcbd_report, seconds_exchange);
+  FIELD(rcbd_report, seconds_search);
+  FIELD(rcbd_report, seconds_migrate);
+  FIELD(rcbd_report, seconds_total);
+  FIELD(rcbd_report, parts);
+  FIELD(rcbd_report, axes_flipped);
+  FIELD(rcbd_report, repartitioned);
+  FIELD(rcbd_report, sent);
+  FIELD(rcbd_report, reason);
+  FIELD(rcbd_report, way);
+  FIELD(rcbd_report, json);
+  TYPE(rcbd_cuts_info);
+  FIELD(rcbd_cuts_info, size);
+  FIELD(rcbd_cuts_info, epoch);
+  FIELD(rcbd_cuts_info, hash);
+  FIELD(rcbd_cuts_info, parts);
+  FIELD(rcbd_cuts_info, dims);
+  TYPE(rcbd_near);
+  FIELD(rcbd_near, size);
+  FIELD(rcbd_near, width);
+  FIELD(rcbd_near, lo);
+  FIELD(rcbd_near, hi);
+  FIELD(rcbd_near, norm);
+  FIELD(rcbd_near, reserved);
+  TYPE(rcbd_ask_options);
+  FIELD(rcbd_ask_options, size);
+  FIELD(rcbd_ask_options, ids);
+  FIELD(rcbd_ask_options, last_part);
+  FIELD(rcbd_ask_options, widths);
+  FIELD(rcbd_ask_options, entries_max);
+  FIELD(rcbd_ask_options, seats);
+  FIELD(rcbd_ask_options, threads);
+  TYPE(rcbd_lists_view);
+  FIELD(rcbd_lists_view, size);
+  FIELD(rcbd_lists_view, lists);
+  FIELD(rcbd_lists_view, entries);
+  FIELD(rcbd_lists_view, offset);
+  FIELD(rcbd_lists_view, item);
+  FIELD(rcbd_lists_view, shift);
+  return 0;
+}

@@ -1,0 +1,143 @@
+"""librcbd.so.1 as programs in C99 see it: one history whoever tells it, every misuse a message, and what was promised stays."""
+import contextlib
+import re
+
+from seats_client import FIELDS
+from support import *
+
+ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
+LIBRARY = os.path.join(BIN, "..", "lib", "librcbd.so.1")
+SEED, PARTS, STEPS = 4301, 7, 100
+TOLD = tuple(field for field in FIELDS if field != "reason")
+
+
+def drifting(seed, points, dims):
+    """STEPS steps of points that drift; on a grid, so that ids decide too."""
+    rng = np.random.default_rng(seed)
+    start = rng.random((points, dims))
+    return np.round((start + rng.normal([0.01] + [0] * (dims - 1), 0.01, (STEPS, points, dims)).cumsum(axis=0)) * 40) / 40
+
+
+def steps_of(text):
+    """What c_history prints: (by step: the values of TOLD and the hash; how many steps were sent)."""
+    kinds = (int, int, int, float, float, float, lambda flag: flag == "1", int, int, int, str, int)
+    rows = [[kind(word) for kind, word in zip(kinds, line.split(), strict=True)] for line in text.splitlines() if line != "made"]
+    for row in rows:
+        row[3] = None if np.isnan(row[3]) else row[3]
+    return [row[:-1] for row in rows], sum(row[-1] for row in rows)
+
+
+class CLibrary(ServiceTest):
+    def processes(self, scene, path, seats, positions):
+        """What each of so many C programs prints, which step the trajectory together."""
+        raw = os.path.join(self.dir, scene)
+        np.ascontiguousarray(path).tofile(raw)
+        started = []
+        try:
+            for seat in range(seats):
+                words = [self.service.endpoint, scene, raw, path.shape[1], path.shape[2], len(path), PARTS, positions, seat, seats]
+                started.append(subprocess.Popen([os.path.join(BIN, "c_history"), *map(str, words)], stdout=subprocess.PIPE,
+                                                stderr=subprocess.PIPE, text=True))
+                if seat == 0:
+                    self.assertEqual(started[0].stdout.readline(), "made\n", started[0].stderr.read if started[0].poll() else "")
+            done = [one.communicate(timeout=120) for one in started]
+        finally:
+            for one in started:
+                with contextlib.suppress(ProcessLookupError):
+                    one.kill()
+                one.wait()
+                one.stdout.close()
+                one.stderr.close()
+        for one, (_, complaints) in zip(started, done):
+            self.assertEqual((one.returncode, complaints), (0, ""))
+        return [text for text, _ in done]
+
+    def cases_of(self, name, number):
+        program = os.path.join(BIN, name)
+        cases = run(program=program, check=True).stdout.split()
+        self.assertEqual(len(cases), number)
+        for case in cases:
+            with self.subTest(case):
+                done = run(self.service.endpoint, case, program=program)
+                self.assertEqual((done.returncode, done.stdout, done.stderr), (0, "", ""))
+
+    def test_one_history(self):
+        """By 1 and 4 processes, sent or counted, and by rcbctl replay."""
+        for name, path in (("space", drifting(SEED, 600, 3)), ("plane", drifting(SEED + 1, 400, 2))):
+            file = self.save(name + ".npy", path)
+            self.service.json("replay", name, file, "--parts", PARTS, "--tolerance", 0.1)
+            expected = [[report[field] for field in TOLD] for report in self.service.json("history", name)]
+            last_hash = self.service.json("scene", "show", name)["hash"]
+            repartitioned = TOLD.index("repartitioned")
+            new_cuts = sum(told[repartitioned] for told in expected)
+            self.assertTrue(5 < new_cuts < STEPS - 5, new_cuts)
+            for seats in (1, 4):
+                for positions in ("every-step", "when-needed"):
+                    with self.subTest(name, seats=seats, positions=positions, seed=SEED):
+                        texts = self.processes(f"{name}-{seats}-{positions}", path, seats, positions)
+                        self.assertTrue(all(text.replace("made\n", "") == texts[-1].replace("made\n", "") for text in texts))
+                        told, sent = steps_of(texts[0])
+                        self.assertEqual([step[:-1] for step in told], expected)
+                        self.assertEqual(told[-1][-1], last_hash)
+                        # The last one is told to.
+                        self.assertEqual(sent, STEPS if positions == "every-step" else new_cuts + (not expected[-1][repartitioned]))
+
+    def test_misuse(self):
+        self.cases_of("c_misuse", 7)
+
+    def test_near(self):
+        self.cases_of("c_near", 2)
+
+    def test_surroundings(self):
+        self.cases_of("c_surroundings", 6)
+
+    def test_a_lost_service_is_told_when_asked_for(self):
+        """A service that was stopped is waited for; the notices say so."""
+        with Service(1) as service:
+            program = subprocess.Popen([os.path.join(BIN, "c_waiting"), service.endpoint], stdout=subprocess.PIPE,
+                                       stderr=subprocess.PIPE, stdin=subprocess.PIPE, text=True)
+            try:
+                self.assertEqual(program.stdout.readline(), "stepped\n")
+                service.ctl("down", check=True)
+                text, complaints = program.communicate("\n", timeout=60)
+            finally:
+                program.kill()
+                program.wait()
+        self.assertEqual((program.returncode, complaints), (0, ""))
+        self.assertRegex(text, "notice: .*stopped")
+        self.assertRegex(text, "ended: unavailable: ")
+
+    def test_the_serial_example(self):
+        done = run(program=os.path.join(BIN, "serial_c"), endpoint=self.service.endpoint, check=True)
+        self.assertIn("has reached the tolerance", done.stdout)
+        history = self.service.json("history", "serial")
+        self.assertEqual([report["step"] for report in history], list(range(101)))
+        self.assertEqual(len(done.stdout.splitlines()), sum(report["repartitioned"] for report in history))
+        failed = run(program=os.path.join(BIN, "serial_c"), endpoint="unix:/nonexistent/rcbd.sock")
+        self.assertEqual(failed.returncode, 1)
+        self.assertIn("no service answers", failed.stderr)
+
+    def test_what_was_promised_stays(self):
+        """Names, and the places of all fields. Whoever adds some adds them to the table; none goes, or moves."""
+        names = [line.split()[-1] for line in run("-D", "--defined-only", LIBRARY, program="/usr/bin/nm", check=True).stdout.splitlines()]
+        names = sorted(name.removesuffix("@@RCBD_1") for name in names if name != "RCBD_1")
+        printed = [*names, *run(program=os.path.join(BIN, "c_abi"), check=True).stdout.splitlines()]
+        self.assertEqual(printed, text_of(ROOT, "tests/client/c/abi.txt").splitlines())
+        header = re.sub(r"/\*.*?\*/", "", text_of(ROOT, "client/include/rcbd/rcbd.h"), flags=re.S)
+        declared = re.findall(r"^(?:int|void\*?|const char\*) (rcbd_\w+)\(", header, re.M)
+        self.assertEqual(sorted(declared), names)
+        fields = sum(body.count(";") + body.count(", ") for body in re.findall(r"typedef struct \w+ \{(.*?)\} ", header, re.S))
+        self.assertEqual(sum("." in line for line in printed), fields)
+
+    def test_it_needs_little(self):
+        """Neither MPI nor HDF5 nor any library that must be there at the same version as where it was built."""
+        dynamic = run("-d", LIBRARY, program="/usr/bin/readelf", check=True).stdout
+        needed = set(re.findall(r"NEEDED.*\[(.*)\]", dynamic))
+        self.assertLessEqual(needed, {"libssl.so.3", "libcrypto.so.3", "libstdc++.so.6", "libm.so.6", "libgcc_s.so.1", "libc.so.6",
+                                      "ld-linux-x86-64.so.2", "ld-linux-aarch64.so.1"})
+        self.assertRegex(dynamic, r"SONAME.*\[librcbd\.so\.1\]")
+        self.assertRegex(dynamic, "FLAGS_1.*NODELETE")
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
