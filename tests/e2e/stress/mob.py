@@ -188,10 +188,12 @@ class Mob(Actor):
         if self.random.random() < 0.3:
             to = self.rng.integers(0, 3, n) if self.random.random() < 0.5 else np.full(n, self.random.randrange(3))
             deal = [np.flatnonzero(to == r) for r in range(self.world.ranks)]
-        way = self.random.choice(WAYS)
+        way, other = self.random.choice(WAYS), said.pop("way", None)
         begin, slices = guest.frames(self.scene, self.step(), block, way=way, deal=deal,
                                      by_socket=self.random.choice([(), (), (1,), (0, 2)]),
                                      each=self.random.choice([n + 1, 7 + n // 5]), **said)
+        if other:
+            begin = reframed(begin, lambda document: document.update(way=other))
         if way == "endpoint":  # one frame
             begin, slices = b"".join([begin, *(rows for _, rows in slices)]), []
         begin, slices = self.spoil(guest, begin, slices, n)
