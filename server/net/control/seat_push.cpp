@@ -89,7 +89,6 @@ Result<std::shared_ptr<Block>> SeatGroups::begin(const PushId& id, Asker asker, 
   const scene::Ledger* ledger = coordinator_.scenes().find(id.scene);
   if (ledger == nullptr) return coordinator_.unknown_scene(id.scene);
   if (ledger->was_in_last(id.session, id.step)) {
-    if (may_bring_slices(push)) coordinator_.refuse_directly(id);
     asker.connection->send_text(FrameType::reply, asker.request, api::repeated(*ledger));
     return std::shared_ptr<Block>();
   }

@@ -147,7 +147,7 @@ awaitable<Status> Session::serve(Frame frame) {
                                               wire::kDeadlineSecondsDefault);
   const api::CommandInfo* info = command.ok() ? api::find_command(*command) : nullptr;
   if (info == nullptr || !deadline.ok()) {
-    if (info != nullptr) refuse_slices(*command, frame.json);
+    if (pushes) drop_slices(frame.json);
     fail(frame.header.request, !command.ok() ? command.status()
                                : info == nullptr
                                    ? Status(Code::unsupported, fmt::format("unknown command '{}'", *command),
@@ -165,22 +165,17 @@ awaitable<Status> Session::serve(Frame frame) {
   if (const Status admitted = admit_size(request, frame.header.json_bytes); admitted.ok())
     co_await dispatch(request);
   else
-    refuse(request, admitted);
+    fail(request.number, admitted);
   --answering_;
+  if (pushes && !request.opened) drop_slices(request.json);
   if (!request.breach.ok()) co_return request.breach;
   if (request.unread != nullptr) co_return co_await connection_->skip_bulk(frame, frame.header.bulk_bytes);
   co_return Status();
 }
 
-void Session::refuse(const Request& request, const Status& why) {
-  refuse_slices(request.command, request.json);
-  fail(request.number, why);
-}
-
-void Session::refuse_slices(const std::string& command, const Json& begin) {
-  if (command != "push" || !may_bring_slices(begin)) return;
-  if (const Result<PushId> id = read_push_id(begin, number_); id.ok() && id->step >= 0)
-    coordinator_->refuse_directly(*id);
+void Session::drop_slices(const Json& push) {
+  if (!may_bring_slices(push)) return;
+  if (const Result<PushId> id = read_push_id(push, number_); id.ok()) coordinator_->refuse_directly(*id);
 }
 
 Status Session::admit_size(Request& request, std::size_t bytes) {
@@ -206,7 +201,7 @@ OrderOptions Session::options_of(const Request& request) const {
 
 awaitable<void> Session::dispatch(Request& request) {
   if (const Status allowed = check_allowed(request); !allowed.ok()) {
-    refuse(request, allowed);
+    fail(request.number, allowed);
     co_return;
   }
   // Requests that a client sent before it left still come in; those that only read are dropped.
@@ -215,7 +210,7 @@ awaitable<void> Session::dispatch(Request& request) {
   if (answer_here(request)) co_return;
   if (request.command == "shutdown") co_return co_await shut_down(request);
   if (coordinator_->shutting_down()) {
-    refuse(request, {Code::unavailable, "the service is shutting down"});
+    fail(request.number, {Code::unavailable, "the service is shutting down"});
     co_return;
   }
   if (request.command == "push") co_return co_await push(request);

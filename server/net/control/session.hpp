@@ -82,6 +82,7 @@ class Session : public std::enable_shared_from_this<Session> {
     std::uint64_t bytes = 0;                                  // of its frame
     std::optional<SeatClaim> seat = {};                       // that a scene.open has taken
     const Frame* unread = nullptr;                            // of a push: its arrays are still to be read
+    bool opened = false;                                      // of a push: a block of its step
     Status breach = {};                                       // of the protocol: the session ends
   };
 
@@ -139,9 +140,8 @@ class Session : public std::enable_shared_from_this<Session> {
   awaitable<void> nap(Timer& timer, const Request& request, TimePoint& notice_at, std::string what);
 
   void fail(std::uint64_t request, const Status& why);
-  // The same; of a push, its slices for the ranks are dropped.
-  void refuse(const Request& request, const Status& why);
-  void refuse_slices(const std::string& command, const wire::Json& begin);
+  // Of a push that was not opened: what it brings the ranks.
+  void drop_slices(const wire::Json& push);
 
   std::shared_ptr<Coordinator> coordinator_;
   std::shared_ptr<Connection> connection_;

@@ -47,7 +47,8 @@ awaitable<void> Session::push(Request& request) {
     if (begun.ok()) block = std::move(*begun);
   }
   if (id.ok()) coordinator_->wake_queue(id->scene);
-  if (!status.ok()) refuse(request, status);
+  if (!status.ok()) fail(request.number, status);
+  request.opened = block != nullptr;
   if (!block || !block->rows_missing) co_return;
   --answering_;  // from here on the step's end answers it
   request.breach = co_await receive(*std::exchange(request.unread, nullptr), *block);
