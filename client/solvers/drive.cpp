@@ -1,5 +1,6 @@
 #include "client/solvers/drive.hpp"
 
+#include <algorithm>
 #include <cerrno>
 #include <charconv>
 #include <cmath>
@@ -15,7 +16,6 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
-#include "client/lib/connect/endpoint.hpp"
 #include "common/base/clock.hpp"
 #include "common/base/signals.hpp"
 
@@ -59,82 +59,26 @@ class Progress {
   bool on_;
 };
 
-// The numeric options as typed, not yet parsed.
-struct TypedOptions {
-  std::string points, steps, parts, tolerance, deadline;
-  std::vector<std::string> numbers;
-};
-
-void declare(CLI::App& app, const Program& program, RunOptions& options, TypedOptions& typed) {
-  const RunOptions& d = program.defaults;
-  const auto number = [&app](const char* name, std::string& text, const std::string& fallback,
-                             const std::string& help) {
-    app.add_option(name, text, help)->type_name("NUMBER")->default_str(fallback);
-  };
-  number("--points", typed.points, fmt::format("{}", d.points), "material points, exactly this many");
-  number("--steps", typed.steps, fmt::format("{}", d.steps), "steps after step 0; each is pushed to the service");
-  number("--parts", typed.parts, fmt::format("{}", d.parts), "parts that the service cuts the points into");
-  number("--tolerance", typed.tolerance, fmt::format("{}", d.tolerance),
-         "load error at which the service repartitions; inf: never after step 0");
-  app.add_option(
-         "--policy", options.policy,
-         "repartition at the tolerance or, with cost, once imbalance has cost more time than a repartition takes")
-      ->check(CLI::IsMember({"tolerance", "cost"}))
-      ->default_str(d.policy);
-  add_positions_option(app, options.positions);
-  app.add_option("--scene", options.scene, "name of the scene in the service; one of that name is replaced")
-      ->type_name("NAME")
-      ->default_str(d.scene);
-  add_place_options(app, options.endpoint, options.trajectory);
-  number("--deadline", typed.deadline, fmt::format("{}", d.deadline_seconds), "seconds that one push may take");
-  add_outlive_option(app, options.outlive);
-  app.add_flag("--no-service", options.no_service, "only the physics: nothing is pushed, no service is needed");
-  app.add_flag("--json", options.json, "one JSON document on standard output instead of the summary");
-  typed.numbers.resize(program.numbers.size());
-  for (std::size_t k = 0; k < program.numbers.size(); ++k)
-    app.add_option(program.numbers[k].name, typed.numbers[k], program.numbers[k].help)
-        ->type_name("NUMBER")
-        ->default_str(fmt::format("{}", *program.numbers[k].value))
-        ->group("Physics");
-  app.set_version_flag("--version", program.name + " " + program.version);
-  app.footer(kFooter);
+// Of an option that can be given in any spelling of a number. wrong: what is wrong with its value; empty if nothing is.
+template <typename T, typename Wrong>
+void add_number(CLI::App& app, const std::string& name, T& value, const std::string& help, const Wrong& wrong) {
+  app.add_option(name, value, help)
+      ->type_name("NUMBER")
+      ->default_str(fmt::format("{}", value))
+      ->transform(CLI::Validator(wrong, ""));
 }
 
-Status wrong(const std::string& option, const Status& why) {
-  return {Code::usage, fmt::format("{}: {}", option, why.message()), why.hint()};
+auto whole(std::int64_t low, std::int64_t high) {
+  return [low, high](std::string& text) {
+    const auto value = parse_whole(text, low, high);
+    if (value) text = std::to_string(*value);
+    return value.status().message();
+  };
 }
 
-Status understand(const Program& program, const TypedOptions& typed, RunOptions& options) {
-  const auto whole = [](const char* name, const std::string& text, std::int64_t low, std::int64_t high, auto& value) {
-    if (text.empty()) return Status{};
-    const auto parsed = parse_whole(text, low, high);
-    if (!parsed) return wrong(name, parsed.status());
-    value = static_cast<std::remove_reference_t<decltype(value)>>(*parsed);
-    return Status{};
-  };
-  if (Status s = whole("--points", typed.points, 1, static_cast<std::int64_t>(kPointsMax), options.points); !s.ok())
-    return s;
-  if (Status s = whole("--steps", typed.steps, 0, kStepsMax, options.steps); !s.ok()) return s;
-  if (Status s = whole("--parts", typed.parts, 1, kPartsMax, options.parts); !s.ok()) return s;
-  const auto real = [](const std::string& name, const std::string& text, double& value) {
-    if (text.empty()) return Status{};
-    const auto parsed = parse_number(text);
-    if (!parsed) return wrong(name, parsed.status());
-    value = *parsed;
-    return Status{};
-  };
-  if (Status s = real("--tolerance", typed.tolerance, options.tolerance); !s.ok()) return s;
-  if (!(options.tolerance >= 0))
-    return {Code::usage, fmt::format("--tolerance: {} is below 0", typed.tolerance), "give 0 or more, or inf"};
-  if (Status s = real("--deadline", typed.deadline, options.deadline_seconds); !s.ok()) return s;
-  if (!(options.deadline_seconds > 0 && options.deadline_seconds <= 3600))
-    return {Code::usage, fmt::format("--deadline: {} is no time to wait", typed.deadline), "give up to 3600 seconds"};
-  for (std::size_t k = 0; k < typed.numbers.size(); ++k)
-    if (Status s = real(program.numbers[k].name, typed.numbers[k], *program.numbers[k].value); !s.ok()) return s;
-  const auto endpoints = client::endpoints_to_try(options.endpoint);
-  if (!options.no_service && endpoints.status().code() == Code::invalid_argument)
-    return {Code::usage, endpoints.status().message(), endpoints.status().hint()};
-  return {};
+// What is wrong with what the user wants ends the program as wrong usage.
+Status as_usage(const Status& why) {
+  return why.code() == Code::invalid_argument ? Status(Code::usage, why.message(), why.hint()) : why;
 }
 
 int fail(const Program& program, bool json, const Status& status) { return tell_failure(program.name, json, status); }
@@ -166,11 +110,7 @@ Result<std::unique_ptr<Service>> open_service(const Program& program, const RunO
 // Runs the solver, once the command line has been parsed.
 Status run(const Program& program, const RunOptions& options, double& interval, RunRecord& record) {
   auto simulation = program.build(options.points);
-  if (!simulation) {
-    const Status& why = simulation.status();
-    // A scene that can't be built is due to the options.
-    return why.code() == Code::invalid_argument ? Status(Code::usage, why.message(), why.hint()) : why;
-  }
+  if (!simulation) return as_usage(simulation.status());
   interval = simulation->interval;
 
   std::unique_ptr<io::TrajectoryWriter> trajectory;
@@ -182,7 +122,7 @@ Status run(const Program& program, const RunOptions& options, double& interval, 
   std::unique_ptr<Service> service;
   if (!options.no_service) {
     auto opened = open_service(program, options);
-    if (!opened) return opened.status();
+    if (!opened) return as_usage(opened.status());
     service = std::move(*opened);
   }
 
@@ -208,11 +148,12 @@ Status run(const Program& program, const RunOptions& options, double& interval, 
 
 int run_command_line(const Program& program, int argc, char** argv) {
   RunOptions options = program.defaults;
-  for (int k = 1; k < argc; ++k)
-    if (std::string_view(argv[k]) == "--json") options.json = true;  // must be known before anything can fail
-  TypedOptions typed;
+  options.json = asks_for_json(argc, argv);  // must be known before anything can fail
   CLI::App app(program.description, program.name);
-  declare(app, program, options, typed);
+  add_run_options(app, options);
+  app.add_flag("--no-service", options.no_service, "only the physics: nothing is pushed, no service is needed");
+  add_numbers(app, program.numbers);
+  app.set_version_flag("--version", program.name + " " + program.version);
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& asked) {
@@ -220,7 +161,6 @@ int run_command_line(const Program& program, int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     return fail(program, options.json, {Code::usage, error.what(), fmt::format("see {} --help", program.name)});
   }
-  if (Status status = understand(program, typed, options); !status.ok()) return fail(program, options.json, status);
 
   catch_interrupts();
   double interval = 0;
@@ -246,26 +186,61 @@ int tell_failure(const std::string& program, bool json, const Status& status) {
   return exit_code(status.code());
 }
 
-void add_place_options(CLI::App& app, std::string& endpoint, std::string& trajectory) {
-  app.add_option("--endpoint", endpoint,
-                 "where the service is: unix:PATH, HOST:PORT or file:PATH (default: RCBD_ENDPOINT, then this user's "
-                 "socket, then 127.0.0.1:7470)")
-      ->type_name("E");
-  app.add_option("--trajectory", trajectory, "also write all positions to this .npy: (steps + 1, points, 3)")
-      ->type_name("F.npy");
-}
-
-void add_positions_option(CLI::App& app, std::string& positions) {
+void add_run_options(CLI::App& app, RunOptions& options) {
+  add_number(app, "--points", options.points, "material points, exactly this many",
+             whole(1, static_cast<std::int64_t>(kPointsMax)));
+  add_number(app, "--steps", options.steps, "steps after step 0", whole(0, kStepsMax));
+  add_number(app, "--parts", options.parts, "parts that the service cuts the points into", whole(1, kPartsMax));
+  add_number(app, "--tolerance", options.tolerance,
+             "load error at which the service repartitions; inf: never after step 0", [](std::string& text) {
+               const auto value = parse_number(text);
+               if (!value) return value.status().message();
+               return *value >= 0 ? std::string() : fmt::format("{} is below 0; give 0 or more, or inf", text);
+             });
   app.add_option(
-         "--positions", positions,
+         "--policy", options.policy,
+         "repartition at the tolerance or, with cost, once imbalance has cost more time than a repartition takes")
+      ->check(CLI::IsMember({"tolerance", "cost"}))
+      ->capture_default_str();
+  app.add_option(
+         "--positions", options.positions,
          "when positions travel to the service: at every step, or when needed: a step is then counted here, and "
          "sent where new cuts are due or a question about positions waits")
       ->check(CLI::IsMember({"every-step", "when-needed"}))
-      ->default_str(positions);
+      ->capture_default_str();
+  app.add_option("--scene", options.scene, "name of the scene in the service; one of that name is replaced")
+      ->type_name("NAME")
+      ->capture_default_str();
+  app.add_option("--endpoint", options.endpoint,
+                 "where the service is: unix:PATH, HOST:PORT or file:PATH (default: RCBD_ENDPOINT, then this user's "
+                 "socket, then 127.0.0.1:7470)")
+      ->type_name("E");
+  app.add_option("--trajectory", options.trajectory, "also write all positions to this .npy: (steps + 1, points, 3)")
+      ->type_name("F.npy");
+  add_number(app, "--deadline", options.deadline_seconds, "seconds that one push may take", [](std::string& text) {
+    const auto value = parse_number(text);
+    if (!value) return value.status().message();
+    return *value > 0 && *value <= 3600 ? "" : fmt::format("{} is no time to wait; give up to 3600 seconds", text);
+  });
+  app.add_flag("!--no-outlive", options.outlive,
+               "end when the service has gone; else a step waits for it until its deadline");
+  app.add_flag("--json", options.json, "one JSON document on standard output instead of the summary");
+  app.footer(
+      "Exit codes: 0 done, 1 the service or the physics failed, 2 wrong usage, 3 no service reachable,\n"
+      "4 not authorised, 5 a deadline passed.\n"
+      "Start a service first with: rcbctl up");
 }
 
-void add_outlive_option(CLI::App& app, bool& outlive) {
-  app.add_flag("!--no-outlive", outlive, "end when the service has gone; else a step waits for it until its deadline");
+void add_numbers(CLI::App& app, const std::vector<NumberOption>& numbers) {
+  for (const NumberOption& one : numbers) {
+    add_number(app, one.name, *one.value, one.help,
+               [](std::string& text) { return parse_number(text).status().message(); });
+    app.get_option(one.name)->group("Physics");
+  }
+}
+
+bool asks_for_json(int argc, char** argv) {
+  return std::any_of(argv, argv + argc, [](const char* word) { return std::string_view(word) == "--json"; });
 }
 
 void say_notice(const std::string& program, const std::string& text) {
@@ -292,8 +267,7 @@ Result<std::int64_t> parse_whole(const std::string& text, std::int64_t low, std:
 }
 
 int run_program(const Program& program, int argc, char** argv) {
-  bool json = false;
-  for (int k = 1; k < argc; ++k) json = json || std::string_view(argv[k]) == "--json";
+  const bool json = asks_for_json(argc, argv);
   try {
     return run_command_line(program, argc, argv);
   } catch (const std::bad_alloc&) {

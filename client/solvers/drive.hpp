@@ -10,6 +10,8 @@
 #include <string>
 #include <vector>
 
+#include <nlohmann/json_fwd.hpp>
+
 #include "client/solvers/scenes.hpp"
 #include "client/solvers/step_loop.hpp"
 
@@ -35,13 +37,6 @@ struct RunOptions {
   bool json = false;
 };
 
-// A physical parameter that the user may set.
-struct NumberOption {
-  std::string name;  // "--speed"
-  std::string help;
-  double* value;  // initially the default
-};
-
 struct Program {
   std::string name;
   std::string version;
@@ -51,6 +46,8 @@ struct Program {
   std::function<Result<Simulation>(std::uint64_t points)> build;
 };
 
+// What the JSON document of each solver's finished run says.
+nlohmann::json run_json(const std::string& solver, const RunOptions& options, const RunRecord& record);
 // The JSON document of a finished run.
 std::string json_document(const Program& program, const RunOptions& options, const RunRecord& record);
 // The summary of a finished run, for people.
@@ -70,16 +67,10 @@ void say_notice(const std::string& program, const std::string& text);
 // "8 parts"; of a scene whose parts another client has changed, how many there are at the end, too.
 std::string parts_text(int asked, const std::vector<client::StepReport>& reports);
 
-// The end of each solver's --help.
-inline constexpr const char* kFooter =
-    "Exit codes: 0 done, 1 the service or the physics failed, 2 wrong usage, 3 no service reachable,\n"
-    "4 not authorised, 5 a deadline passed.\n"
-    "Start a service first with: rcbctl up";
-
-// Options that a solver of several processes has too: --positions; --endpoint and --trajectory; --no-outlive.
-void add_positions_option(CLI::App& app, std::string& positions);
-void add_place_options(CLI::App& app, std::string& endpoint, std::string& trajectory);
-void add_outlive_option(CLI::App& app, bool& outlive);
+// Declares the options of RunOptions that each solver has; their defaults are what `options` holds.
+void add_run_options(CLI::App& app, RunOptions& options);
+void add_numbers(CLI::App& app, const std::vector<NumberOption>& numbers);
+bool asks_for_json(int argc, char** argv);
 
 // Reads a number (-.5, 1e3, inf, ...); NaN is refused.
 Result<double> parse_number(const std::string& text);

@@ -44,32 +44,34 @@ std::string failure_document(const Status& status) {
                     {"exit", exit_code(status.code())}}}});
 }
 
-std::string json_document(const Program& program, const RunOptions& options, const RunRecord& record) {
+json run_json(const std::string& solver, const RunOptions& options, const RunRecord& record) {
   json reports = json::array();
   for (const client::StepReport& report : record.reports) {
     json parsed = json::parse(report.json, nullptr, false);
     reports.push_back(parsed.is_discarded() ? json() : std::move(parsed));
   }
   const auto largest = record.largest_error();
-  json document{
-      {"scene", options.scene},
-      {"solver", program.name},
-      {"points", options.points},
-      {"steps", options.steps},
-      {"parts", options.parts},
-      {"tolerance", std::isinf(options.tolerance) ? json("inf") : json(options.tolerance)},
-      {"policy", options.policy},
-      {"positions", options.positions},
-      {"repartitions", options.no_service ? json() : json(record.repartitions())},
-      {"error_max", largest ? json(largest->error) : json()},
-      {"error_max_step", largest ? json(largest->step) : json()},
-      {"reports", std::move(reports)},
-      {"momentum", momentum_json(record.physics)},
-      {"energy", energy_json(record.physics)},
-      {"runout", runout_json(record)},
-      {"substeps", record.substeps},
-      {"seconds", {{"physics", record.seconds_physics}, {"service", record.seconds_service}}},
-  };
+  return {{"scene", options.scene},
+          {"solver", solver},
+          {"points", options.points},
+          {"steps", options.steps},
+          {"parts", options.parts},
+          {"tolerance", std::isinf(options.tolerance) ? json("inf") : json(options.tolerance)},
+          {"policy", options.policy},
+          {"positions", options.positions},
+          {"repartitions", options.no_service ? json() : json(record.repartitions())},
+          {"error_max", largest ? json(largest->error) : json()},
+          {"error_max_step", largest ? json(largest->step) : json()},
+          {"reports", std::move(reports)},
+          {"substeps", record.substeps}};
+}
+
+std::string json_document(const Program& program, const RunOptions& options, const RunRecord& record) {
+  json document = run_json(program.name, options, record);
+  document.update({{"momentum", momentum_json(record.physics)},
+                   {"energy", energy_json(record.physics)},
+                   {"runout", runout_json(record)},
+                   {"seconds", {{"physics", record.seconds_physics}, {"service", record.seconds_service}}}});
   return text_of(document);
 }
 

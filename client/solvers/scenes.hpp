@@ -2,6 +2,8 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
+#include <vector>
 
 #include "client/solvers/mpm/mpm.hpp"
 #include "common/base/status.hpp"
@@ -9,6 +11,13 @@
 namespace rcb::solvers {
 
 constexpr std::uint64_t kPointsMax = 100'000'000;
+
+// A physical parameter that the user may set.
+struct NumberOption {
+  std::string name;  // "--speed"
+  std::string help;
+  double* value;  // initially the default
+};
 
 struct Simulation {
   Mpm mpm;
@@ -48,6 +57,8 @@ struct SlopeOptions {
   double interval = 0.3;  // s, a step
 };
 Result<Simulation> make_slope(const SlopeOptions& options);
+// Its physical parameters; they refer to `options`.
+std::vector<NumberOption> slope_numbers(SlopeOptions& options);
 
 // A column of dry sand between smooth walls two grid cells apart, behind a gate that vanishes at the start: x points
 // out of the gate, y up. Experiments: Lube et al. 2005, doi:10.1103/PhysRevE.72.041301.

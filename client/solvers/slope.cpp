@@ -19,16 +19,10 @@ int main(int argc, char** argv) {
   program.defaults.steps = 200;
   program.defaults.scene = "slope";
   double column = 0;
-  program.numbers = {
-      {"--unit-weight", "of the sediment, submerged, N/m^3", &scene.unit_weight},
-      {"--friction-angle", "of the sediment, degrees", &scene.friction_angle},
-      {"--bed-friction", "between sediment and bed, degrees; a column's bed has the sediment's", &scene.bed_friction},
-      {"--youngs-modulus", "stiffness of the upper layer, Pa; the lower one has half as much again",
-       &scene.youngs_modulus},
-      {"--poissons-ratio", "-1 to 0.5", &scene.poissons_ratio},
-      {"--interval", "time of a step, s; substeps are taken as stability asks", &scene.interval},
-      {"--column", "height over length of a column that collapses instead; 0: the slope", &column},
-  };
+  program.numbers = slope_numbers(scene);
+  program.numbers.push_back(
+      {"--column", "height over length of a column that collapses instead, on a bed like itself; 0: the slope",
+       &column});
   program.build = [&scene, &column](std::uint64_t points) {
     if (column == 0) {
       scene.points = points;

@@ -150,4 +150,14 @@ double front(const Mpm& mpm) {
   return sorted[static_cast<std::size_t>(place)];
 }
 
+std::vector<NumberOption> slope_numbers(SlopeOptions& options) {
+  return {{"--unit-weight", "of the sediment, submerged, N/m^3", &options.unit_weight},
+          {"--friction-angle", "of the sediment, degrees", &options.friction_angle},
+          {"--bed-friction", "between sediment and bed, degrees", &options.bed_friction},
+          {"--youngs-modulus", "stiffness of the upper layer, Pa; the lower one has half as much again",
+           &options.youngs_modulus},
+          {"--poissons-ratio", "-1 to 0.5", &options.poissons_ratio},
+          {"--interval", "time of a step, s; substeps are taken as stability asks", &options.interval}};
+}
+
 }  // namespace rcb::solvers

@@ -24,54 +24,6 @@
 namespace rcb::solvers {
 namespace {
 
-// Reads numbers as the other solvers do: 8.0 and 1e6 are whole, a tolerance may be inf.
-CLI::Validator whole(std::int64_t low, std::int64_t high) {
-  const auto read = [low, high](std::string& text) {
-    const auto value = parse_whole(text, low, high);
-    if (value) text = std::to_string(*value);
-    return value ? std::string() : value.status().message();
-  };
-  return {read, ""};
-}
-
-CLI::Validator tolerance() {
-  const auto read = [](std::string& text) {
-    const auto value = parse_number(text);
-    if (!value) return value.status().message();
-    return *value >= 0 ? std::string() : fmt::format("{} is below 0; give 0 or more, or inf", text);
-  };
-  return {read, ""};
-}
-
-void declare(CLI::App& app, MpiOptions& o) {
-  app.option_defaults()->always_capture_default();
-  app.add_option("--points", o.slope.points, "material points, of all processes")->transform(whole(1, 100'000'000));
-  app.add_option("--steps", o.steps, "steps after step 0")->transform(whole(0, 10'000'000));
-  app.add_option("--parts", o.parts, "parts; process k of M keeps those from kP/M to (k+1)P/M")
-      ->transform(whole(1, 1'048'576));
-  app.add_option("--method", o.method, "how the service divides: by RCB, or into bands across one axis")
-      ->check(CLI::IsMember({"rcb", "bands-x", "bands-y", "bands-z"}));
-  app.add_option("--tolerance", o.tolerance, "load error at which the service repartitions; inf: never after step 0")
-      ->check(tolerance());
-  add_positions_option(app, o.positions);
-  app.add_option("--scene", o.scene, "name of the scene; one of that name is replaced")->type_name("NAME");
-  add_place_options(app, o.endpoint, o.trajectory);
-  app.add_option("--deadline", o.deadline_seconds, "seconds that one push may take")->check(CLI::Range(1e-3, 3600.0));
-  add_outlive_option(app, o.outlive);
-  app.add_flag("--check", o.check,
-               "after each step that was sent ask the service which process each point belongs to, and fail where "
-               "another holds it");
-  app.add_flag("--json", o.json, "one JSON document on standard output instead of the summary");
-  app.add_option("--unit-weight", o.slope.unit_weight, "of the sediment, submerged, N/m^3")->group("Physics");
-  app.add_option("--friction-angle", o.slope.friction_angle, "of the sediment, degrees")->group("Physics");
-  app.add_option("--bed-friction", o.slope.bed_friction, "between sediment and bed, degrees")->group("Physics");
-  app.add_option("--youngs-modulus", o.slope.youngs_modulus, "of the upper layer, Pa")->group("Physics");
-  app.add_option("--poissons-ratio", o.slope.poissons_ratio, "-1 to 0.5")->group("Physics");
-  app.add_option("--interval", o.slope.interval, "time of a step, s")->group("Physics");
-
-  app.set_version_flag("--version", std::string("slope_mpi ") + RCB_VERSION);
-}
-
 // Makes the whole slope and keeps this process's block of points; the first push tells where they belong.
 Result<Mpm> make_share(const MpiOptions& options, int rank, int size) {
   auto whole = make_slope(options.slope);
@@ -103,6 +55,7 @@ Result<std::unique_ptr<Seat>> open_scene(const MpiOptions& options, MpiCores& co
     status = client->create_scene(options.scene, {.parts = options.parts,
                                                   .method = options.method,
                                                   .tolerance = options.tolerance,
+                                                  .policy = options.policy,
                                                   .positions = options.positions,
                                                   .replace = true});
   if (Status all = cores.agree(status); !all) return all;
@@ -198,12 +151,26 @@ Status run(const MpiOptions& options, MpiCores& cores, MpiRecord& record) {
 int run_on(MpiCores& cores, int argc, char** argv) {
   CLI::App app(
       "The submarine slope of `slope` on several processes. Each has a seat of the scene and holds the points of its\n"
-      "own parts; each step tells which of them it hands over to whom:\n"
+      "own parts, process k of M those of the parts from kP/M to (k+1)P/M; each step tells which of them it hands "
+      "over\n"
+      "to whom:\n"
       "  mpirun --oversubscribe -n 4 slope_mpi        (as root also --allow-run-as-root)",
       "slope_mpi");
-  app.footer(kFooter);
   MpiOptions options;
-  declare(app, options);
+  options.points = options.slope.points;
+  options.steps = 200;
+  options.positions = "when-needed";
+  options.scene = "slope";
+  options.json = asks_for_json(argc, argv);
+  add_run_options(app, options);
+  app.add_option("--method", options.method, "how the service divides: by RCB, or into bands across one axis")
+      ->check(CLI::IsMember({"rcb", "bands-x", "bands-y", "bands-z"}))
+      ->capture_default_str();
+  app.add_flag("--check", options.check,
+               "after each step that was sent ask the service which process each point belongs to, and fail where "
+               "another holds it");
+  add_numbers(app, slope_numbers(options.slope));
+  app.set_version_flag("--version", std::string("slope_mpi ") + RCB_VERSION);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
@@ -211,6 +178,7 @@ int run_on(MpiCores& cores, int argc, char** argv) {
     if (error.get_exit_code() == 0) return app.exit(error);
     return tell_failure("slope_mpi", options.json, {Code::usage, error.what(), "see slope_mpi --help"});
   }
+  options.slope.points = options.points;
   MpiRecord record;
   Status status = run(options, cores, record);
   if (status.ok() && cores.rank() == 0) {

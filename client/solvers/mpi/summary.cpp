@@ -1,7 +1,6 @@
 #include "client/solvers/mpi/summary.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -46,34 +45,22 @@ std::string summary(const MpiOptions& options, int processes, const MpiRecord& r
 std::string json_document(const MpiOptions& options, int processes, const MpiRecord& record) {
   const Balance& start = record.physics.start;
   const Balance& end = record.physics.end;
-  json reports = json::array();
-  for (const client::StepReport& report : record.reports) reports.push_back(json::parse(report.json));
-  const json document{{"scene", options.scene},
-                      {"solver", "slope_mpi"},
-                      {"seats", processes},
-                      {"points", options.slope.points},
-                      {"steps", options.steps},
-                      {"parts", options.parts},
-                      {"method", options.method},
-                      {"tolerance", std::isinf(options.tolerance) ? json("inf") : json(options.tolerance)},
-                      {"positions", options.positions},
-                      {"repartitions", record.repartitions()},
-                      {"error_max", record.largest_error()->error},
-                      {"reports", std::move(reports)},
-                      {"held", record.held},
-                      {"handed_over", static_cast<std::uint64_t>(total(record.sum, &Work::handed_over))},
-                      {"checked", options.check},
-                      {"substeps", record.substeps},
-                      {"momentum", {{"start", start.momentum}, {"end", end.momentum}}},
-                      {"energy", {{"start", start.energy()}, {"end", end.energy()}}},
-                      {"by_step",
-                       {{"wall", by_step(record.largest, &Work::wall)},
-                        {"service", by_step(record.largest, &Work::service)},
-                        {"slowest", by_step(record.largest, &Work::computing)},
-                        {"mean", by_step(record.sum, &Work::computing, processes)},
-                        {"shared_nodes", by_step(record.sum, &Work::shared_nodes)},
-                        {"grid_bytes", by_step(record.sum, &Work::grid_bytes)},
-                        {"handed_over", by_step(record.sum, &Work::handed_over)}}}};
+  json document = run_json("slope_mpi", options, record);
+  document.update({{"seats", processes},
+                   {"method", options.method},
+                   {"held", record.held},
+                   {"handed_over", static_cast<std::uint64_t>(total(record.sum, &Work::handed_over))},
+                   {"checked", options.check},
+                   {"momentum", {{"start", start.momentum}, {"end", end.momentum}}},
+                   {"energy", {{"start", start.energy()}, {"end", end.energy()}}},
+                   {"by_step",
+                    {{"wall", by_step(record.largest, &Work::wall)},
+                     {"service", by_step(record.largest, &Work::service)},
+                     {"slowest", by_step(record.largest, &Work::computing)},
+                     {"mean", by_step(record.sum, &Work::computing, processes)},
+                     {"shared_nodes", by_step(record.sum, &Work::shared_nodes)},
+                     {"grid_bytes", by_step(record.sum, &Work::grid_bytes)},
+                     {"handed_over", by_step(record.sum, &Work::handed_over)}}}});
   return document.dump();
 }
 

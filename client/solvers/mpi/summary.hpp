@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "client/solvers/drive.hpp"
 #include "client/solvers/mpi/cores.hpp"
 #include "client/solvers/scenes.hpp"
 #include "client/solvers/step_loop.hpp"
@@ -12,20 +13,10 @@
 namespace rcb::solvers {
 
 // The command line.
-struct MpiOptions {
+struct MpiOptions : RunOptions {
   SlopeOptions slope;
-  std::int64_t steps = 200;
-  int parts = 8;
   std::string method = "rcb";
-  double tolerance = 0.1;
-  std::string positions = "when-needed";
-  std::string scene = "slope";
-  std::string endpoint;
-  std::string trajectory;
-  double deadline_seconds = 60;
-  bool outlive = true;
   bool check = false;
-  bool json = false;
 };
 
 struct MpiRecord : RunRecord {
