@@ -79,6 +79,7 @@ class CountTrial {
     options.scale = scale_;
     const Cuts cuts(tree_, 3);
     const std::uint64_t hint = random_.below(4);  // none, parts of other cuts, this array, another array
+    if (random_.below(3) == 0) mix_hints();
     if (hint == 1)
       for (std::int32_t& part : before_) part = static_cast<std::int32_t>(random_.below(100)) - 50;
     std::vector<std::int32_t> part = hint == 2 ? before_ : std::vector<std::int32_t>(n(), -7);
@@ -122,6 +123,13 @@ class CountTrial {
       for (std::size_t a = 0; a < dims() && !cut.right_empty; ++a)
         share_.particles.position[at(cut.axes[a])][moved] = cut.key.at[a];
     }
+  }
+
+  // As where rows come in another order from some row on.
+  void mix_hints() {
+    const std::size_t same = random_.below(n() + 1);
+    for (std::size_t i = same; i < n(); ++i) std::swap(before_[i], before_[same + random_.below(n() - same)]);
+    if (random_.below(2) == 0) std::reverse(before_.begin(), before_.end());
   }
 
   template <typename T>

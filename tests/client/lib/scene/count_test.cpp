@@ -194,8 +194,8 @@ TEST(CountedStep, IsPushedAtOnceWhereTheCallerSaysSo) {
   expect_count(of.fake.counted[1], 3, changed_between(2, 3));
 }
 
-// In the same order as before nobody needs to sum the ids again; in another the parts before are unknown. What comes or
-// goes is counted, but where no ids tell which.
+// In another order than before the parts before are unknown. What comes or goes is counted, but where no ids tell
+// which.
 TEST(CountedStep, OfOtherRowsIsCountedAnew) {
   Counting of;
   std::vector<std::int64_t> ids(kRowsCounted);
@@ -273,6 +273,12 @@ TEST(CountedStep, AWrongValueIsRefusedBeforeAnythingIsSent) {
   const auto refused = of.scene->step(positions);
   EXPECT_EQ(refused.status().code(), Code::not_finite);
   EXPECT_EQ(refused.status().message(), "particle 31 (index, from 0): y is nan");
+  std::vector<std::int64_t> ids(kRowsCounted);
+  std::iota(ids.begin(), ids.end(), 0);
+  ids[7] = -3;
+  const auto negative = of.step(1, {.ids = ids});
+  EXPECT_EQ(negative.status().code(), Code::invalid_argument);
+  EXPECT_EQ(negative.status().message(), "particle -3: id is -3");
   ASSERT_TRUE(of.step(1).ok());
   of.end();
   EXPECT_EQ(of.fake.counted.size(), 1U);

@@ -2,11 +2,13 @@
 // again.
 #include <array>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
 
 #include "client/lib/client.hpp"
+#include "common/base/random.hpp"
 #include "tests/client/lib/fake_service.hpp"
 #include "tests/client/lib/told_cuts.hpp"
 
@@ -106,6 +108,35 @@ TEST(Seat, SendsItsOwnRowsAndIsToldWhatLeaves) {
   EXPECT_EQ(got[1].values<double>("y"), kY);
   EXPECT_EQ(got[1].values<std::int64_t>("id"), kIds);
   EXPECT_EQ(got[2].json["command"], "scene.close");
+}
+
+TEST(Seat, IsToldEachRowThatLeaves) {
+  FakeService service([](Peer& peer, int) {
+    peer.greet(2);
+    peer.reply(*peer.receive(), seat_reply(4, -1));
+    const Received begin = receive_push(peer);
+    peer.reply(begin, report(0), told_cuts().arrays);
+    answer_close(peer);
+  });
+  constexpr std::size_t kRows = 1000;
+  constexpr std::uint64_t kSeed = 77;
+  Random random(kSeed);
+  std::vector<double> xy;
+  std::vector<std::int64_t> ids;
+  std::vector<std::pair<std::uint64_t, int>> expected;  // row, and the seat that it goes to
+  for (std::size_t row = 0; row < kRows; ++row) {
+    const std::uint64_t part = random.below(row < 300 ? 6 : 100) == 0 ? random.below(6) : 2 + random.below(2);
+    if (part / 2 != 1) expected.push_back({row, static_cast<int>(part / 2)});
+    xy.insert(xy.end(), {static_cast<double>(part) + 0.5, 0});
+    ids.push_back(static_cast<std::int64_t>(row));
+  }
+  Seated of(service);
+  ASSERT_TRUE(of.scene.ok()) << of.scene.status().message();
+  const auto result = of.scene->step(Positions::rows(xy.data(), kRows, 2), {.ids = ids});
+  ASSERT_TRUE(result.ok()) << result.status().message();
+  std::vector<std::pair<std::uint64_t, int>> told;
+  for (const LeavingRow& one : result->leaving) told.push_back({one.row, one.to});
+  EXPECT_EQ(told, expected) << "seed " << kSeed;
 }
 
 TEST(Seat, IsTakenAgainWithAHigherGenerationAndTheStepPushedAgain) {
