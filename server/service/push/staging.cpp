@@ -7,8 +7,8 @@
 #include <fmt/format.h>
 
 #include "common/base/check.hpp"
-#include "common/base/random.hpp"
 #include "common/cuts/count.hpp"
+#include "common/cuts/id_sum.hpp"
 #include "common/layout/layout.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/push/values.hpp"
@@ -181,7 +181,7 @@ Status check_set(comm::Comm& comm, Scene& scene, const PushRequest& push, const 
   bool fault = false;  // a value is wrong
   if (ready.ok() && scene.epoch == 0) {
     fault = first_fault(staged.arrays.view()).has_value();
-    sums.id_sum = sum_ids(staged.arrays.id.span(), 0);
+    sums.id_sum = cuts::sum_ids(staged.arrays.id.span(), 0).any_order;
   } else if (ready.ok()) {
     Status found = find_parts(comm, scene, push, runs, staged);
     fault = !found.ok() && found.code() != Code::too_large;
@@ -262,12 +262,6 @@ std::uint64_t bytes_of(const Scene& scene, const PushRequest& push) {
 }
 
 }  // namespace
-
-std::uint64_t sum_ids(std::span<const particles::Id> ids, std::uint64_t key) {
-  std::uint64_t sum = 0;
-  for (const particles::Id id : ids) sum += mix64(static_cast<std::uint64_t>(id) + key);
-  return sum;
-}
 
 void give_back(Context& context, const Scene& scene, Staged& staged, api::Way way) {
   if (!staged.took_slice && way != api::Way::shared_memory) return;

@@ -60,7 +60,4 @@ Result<Staged> prepare_set(comm::Comm& comm, Scene& scene, const PushRequest& pu
 // here. Local.
 void give_back(Context& context, const Scene& scene, Staged& staged, api::Way way);
 
-// The sum of mix64(id + key). Local.
-std::uint64_t sum_ids(std::span<const particles::Id> ids, std::uint64_t key);
-
 }  // namespace rcb::service

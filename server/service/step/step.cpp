@@ -5,6 +5,7 @@
 #include <random>
 #include <utility>
 
+#include "common/cuts/id_sum.hpp"
 #include "common/layout/layout.hpp"
 #include "common/partition/incremental/repartition.hpp"
 #include "server/service/context/collective.hpp"
@@ -40,7 +41,7 @@ void take_set(Context& context, Scene& scene, Staged& staged) {
   if (staged.same) return;
   scene.id_sum = staged.sums.id_sum;
   const std::uint64_t key = secret(context.comm);
-  scene.key = {key, sum_ids(scene.particles.id.span(), key)};
+  scene.key = {key, cuts::sum_ids(scene.particles.id.span(), key).any_order};
   context.comm.all_sum({&scene.key.sum, 1});
 }
 
