@@ -46,8 +46,6 @@ class Comm {
                       std::vector<std::size_t>& sizes) = 0;
   // root's bytes to every rank; all ranks pass the same size.
   virtual void broadcast(std::span<std::byte> bytes, int root) = 0;
-  // root's pieces[r] arrives in `mine` of rank r; both know its size. Other ranks pass no pieces.
-  virtual void scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) = 0;
   // send[r] arrives on rank r in receive[s], where s is the sender's rank; both sides know the sizes.
   virtual void exchange(std::span<const std::span<const std::byte>> send,
                         std::span<const std::span<std::byte>> receive) = 0;

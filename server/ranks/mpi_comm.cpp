@@ -285,20 +285,6 @@ void MpiComm::broadcast(std::span<std::byte> bytes, int root) {
   }
 }
 
-void MpiComm::scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) {
-  RCB_CHECK(pieces.size() == (everyone_.rank == root ? static_cast<std::size_t>(everyone_.size) : 0),
-            "root alone brings pieces");
-  std::vector<MPI_Request> requests;
-  if (everyone_.rank == root) {
-    for (int r = 0; r < everyone_.size; ++r)
-      if (r != everyone_.rank) start_send(pieces[static_cast<std::size_t>(r)], r, requests);
-    copy(pieces[static_cast<std::size_t>(everyone_.rank)], mine);
-  } else {
-    start_receive(mine, root, requests);
-  }
-  finish(requests, "MPI_Waitall (scatter)");
-}
-
 void MpiComm::exchange(std::span<const std::span<const std::byte>> send,
                        std::span<const std::span<std::byte>> receive) {
   const auto ranks = static_cast<std::size_t>(everyone_.size);

@@ -5,8 +5,9 @@
 // 2. Messages larger than kMessageBytesMax and reductions of more than kReduceValuesMax values are split.
 // 3. It is called by one thread only, the engine thread (MPI_THREAD_FUNNELED).
 // 4. Ranks of one machine reduce through shared memory (shared_collectives.hpp); they gather so, too, where there is no
-//    other machine, but what is much for one rank (kSharedGatherBytes) goes to it by messages. Of several machines the leaders, their first ranks, reduce among themselves what their machines
-//    have reduced. If a machine's ranks can't share memory, none use it.
+//    other machine, but what is much for one rank (kSharedGatherBytes) goes to it by messages. Of several machines the
+//    leaders, their first ranks, reduce among themselves what their machines have reduced. If a machine's ranks can't
+//    share memory, none use it.
 // 5. Between machines short reductions (of the leaders, or else of all ranks) and gathers (of all ranks) go from each
 //    straight to every other: one latency of the network, where MPI takes log2(ranks), twice that if the ranks are no
 //    power of two.
@@ -68,7 +69,6 @@ class MpiComm final : public comm::Comm {
   void gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,
               std::vector<std::size_t>& sizes) override;
   void broadcast(std::span<std::byte> bytes, int root) override;
-  void scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) override;
   void exchange(std::span<const std::span<const std::byte>> send,
                 std::span<const std::span<std::byte>> receive) override;
   void barrier() override;

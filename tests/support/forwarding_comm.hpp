@@ -24,9 +24,6 @@ class ForwardingComm : public comm::Comm {
     before(), comm_.gather(local, root, all, sizes);
   }
   void broadcast(std::span<std::byte> bytes, int root) override { before(), comm_.broadcast(bytes, root); }
-  void scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) override {
-    before(), comm_.scatter(pieces, root, mine);
-  }
   void exchange(std::span<const std::span<const std::byte>> send,
                 std::span<const std::span<std::byte>> receive) override {
     before(), comm_.exchange(send, receive);

@@ -25,10 +25,6 @@ class SelfComm final : public comm::Comm {
     all_gather(local, all, sizes);
   }
   void broadcast(std::span<std::byte>, int) override {}
-  void scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) override {
-    RCB_CHECK(root == 0, "the only rank");
-    exchange(pieces, {&mine, 1});
-  }
   void exchange(std::span<const std::span<const std::byte>> send,
                 std::span<const std::span<std::byte>> receive) override {
     RCB_CHECK(send.size() == 1 && receive.size() == 1, "the only rank");

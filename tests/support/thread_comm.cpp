@@ -102,13 +102,6 @@ void ThreadComm::broadcast(std::span<std::byte> bytes, int root) {
   world_.meet();
 }
 
-void ThreadComm::scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) {
-  RCB_CHECK(pieces.size() == (rank_ == root ? static_cast<std::size_t>(size()) : 0), "root alone brings pieces");
-  enter({"scatter", root, {}, pieces});
-  copy(call_of(root).pieces[static_cast<std::size_t>(rank_)], mine);
-  world_.meet();
-}
-
 void ThreadComm::exchange(std::span<const std::span<const std::byte>> send,
                           std::span<const std::span<std::byte>> receive) {
   const auto ranks = static_cast<std::size_t>(size());

@@ -48,7 +48,6 @@ class ThreadComm final : public comm::Comm {
   void gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,
               std::vector<std::size_t>& sizes) override;
   void broadcast(std::span<std::byte> bytes, int root) override;
-  void scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) override;
   void exchange(std::span<const std::span<const std::byte>> send,
                 std::span<const std::span<std::byte>> receive) override;
   void barrier() override;

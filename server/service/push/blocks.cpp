@@ -159,10 +159,13 @@ class Reader {
     const std::uint64_t mine = deal.count(comm_.rank());
     PushSlice* const whole = slice_of(block);
     for_each_array([&](std::size_t array, auto& to) {
-      std::vector<std::span<const std::byte>> pieces;
+      std::vector<std::span<const std::byte>> send(static_cast<std::size_t>(comm_.size()));
+      std::vector<std::span<std::byte>> receive(send.size());
       for (int r = 0; whole != nullptr && r < comm_.size(); ++r)
-        pieces.push_back(whole->arrays[array].bytes.span().subspan(8 * deal.begin(r), 8 * deal.count(r)));
-      comm_.scatter(pieces, 0, std::as_writable_bytes(to.span().subspan(at_, mine)));
+        send[static_cast<std::size_t>(r)] =
+            whole->arrays[array].bytes.span().subspan(8 * deal.begin(r), 8 * deal.count(r));
+      receive[0] = std::as_writable_bytes(to.span().subspan(at_, mine));
+      comm_.exchange(send, receive);
       if (whole != nullptr) whole->arrays[array].bytes.release();  // it is free for the next array
     });
     number_rows(deal.begin(comm_.rank()), mine);

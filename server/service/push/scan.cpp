@@ -4,7 +4,6 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
-#include <limits>
 #include <span>
 
 #if defined(__x86_64__)
@@ -13,6 +12,7 @@
 
 #include "common/base/check.hpp"
 #include "common/layout/layout.hpp"
+#include "server/service/push/values.hpp"
 
 namespace rcb::service {
 namespace {
@@ -154,13 +154,6 @@ void finish_streams() { _mm_sfence(); }
 void stream(double* to, const double* from, std::size_t count) { copy(to, from, count); }
 void finish_streams() {}
 #endif
-
-bool bad_weights(const double* weight, std::size_t count) {
-  std::uint64_t bad = 0;
-  for (std::size_t i = 0; i < count; ++i)
-    bad += static_cast<std::uint64_t>(!((weight[i] >= 0) & (weight[i] <= std::numeric_limits<double>::max())));
-  return bad != 0;
-}
 
 // Updates scene.regions, the regions of this rank's parts, if the cuts have changed.
 void refresh_regions(Scene& scene, int rank, int ranks) {

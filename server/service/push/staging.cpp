@@ -127,13 +127,6 @@ Status check_identity(comm::Comm& comm, const Scene& scene, const PushRequest& p
   return check_distinct(comm, push.seats, runs, staged.arrays.id.span(), push.n, staged.ids);
 }
 
-// What is wrong with values of which a pass has found that some are. Collective.
-Status fault_in(comm::Comm& comm, const particles::ParticleView& view, bool has_ids) {
-  Status fault = check_values(comm, view, has_ids);
-  RCB_CHECK(!fault.ok(), "the pass found a fault that isn't there");
-  return fault;
-}
-
 // The parts of this rank's rows under the cuts in force, and what follows from them. Local. Errors: too_large; others
 // where a value is at fault.
 Status find_parts(const comm::Comm& comm, Scene& scene, const PushRequest& push, const std::vector<Run>& runs,
@@ -180,7 +173,7 @@ Status check_set(comm::Comm& comm, Scene& scene, const PushRequest& push, const 
   if (sums_counts(scene, push.weights)) sums.counts.resize(static_cast<std::size_t>(scene.options.parts));
   bool fault = false;  // a value is wrong
   if (ready.ok() && scene.epoch == 0) {
-    fault = first_fault(staged.arrays.view()).has_value();
+    fault = has_fault(staged.arrays.view());
     sums.id_sum = cuts::sum_ids(staged.arrays.id.span(), 0).any_order;
   } else if (ready.ok()) {
     Status found = find_parts(comm, scene, push, runs, staged);

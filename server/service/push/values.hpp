@@ -1,23 +1,21 @@
-// Whether positions, weights and ids are values that a scene takes.
+// Whether positions, weights and ids are values that a scene takes: positions and weights are finite, weights >= 0 and
+// ids >= 0.
 #pragma once
 
-#include <cstdint>
-#include <optional>
+#include <cstddef>
 
 #include "common/base/status.hpp"
 #include "common/comm/comm.hpp"
-#include "common/particles/value_fault.hpp"
+#include "common/particles/particle_set.hpp"
 
 namespace rcb::service {
 
-using particles::kGoodValues;
-using particles::ValueFault;
+// Local.
+bool bad_weights(const double* weight, std::size_t count);
+bool has_fault(const particles::ParticleView& view);
 
-// The fault of the first particle that has one. Local.
-std::optional<ValueFault> first_fault(const particles::ParticleView& view);
-
-// Collective. Checks that positions and weights are finite, weights >= 0 and ids >= 0. The error names the offender
-// with the smallest id. has_ids: ids were given; else they are rows.
-Status check_values(comm::Comm& comm, const particles::ParticleView& view, bool has_ids);
+// What is wrong where some rank has a fault; names the offender with the smallest id. has_ids: ids were given; else
+// they are rows. Collective.
+Status fault_in(comm::Comm& comm, const particles::ParticleView& view, bool has_ids);
 
 }  // namespace rcb::service
