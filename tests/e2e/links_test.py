@@ -128,7 +128,7 @@ class LinksTest(MachinesTest):
         self.hosts.link("b", "down")
         silent = lambda: re.search(r"rank [23] on b has been silent for 10 s", self.log())
         self.assertTrue(wait_for(silent, 60), self.log())
-        self.assertRegex(self.heard(), r"'push' has waited \d+ s for .*rank [23] on b, silent for \d+ s")
+        self.assertRegex(self.heard(), r"step \d+ of scene 'two_spheres' has waited \d+ s for .*rank [23] on b, silent for \d+ s")
         self.hosts.link("b", "up")
         result = self.ended(solver)
         self.assertIn("waiting for the service at 10.77.0.1:7470", self.heard())
