@@ -1,7 +1,6 @@
 #include "server/scene/tally.hpp"
 
 #include <algorithm>
-#include <map>
 #include <utility>
 
 #include <fmt/format.h>
@@ -21,9 +20,10 @@ struct PartSum {
 };
 
 // Loads in a scale that isn't due have any bits, so their sums may wrap.
-void add_parts(const CountRecord& record, std::map<std::int32_t, PartSum>& parts) {
+void add_parts(const CountRecord& record, std::vector<PartSum>& parts) {
+  if (!record.parts.empty()) parts.resize(std::max(parts.size(), static_cast<std::size_t>(record.parts.back()) + 1));
   for (std::size_t k = 0; k < record.parts.size(); ++k) {
-    PartSum& sum = parts[record.parts[k]];
+    PartSum& sum = parts[static_cast<std::size_t>(record.parts[k])];
     sum.count += record.counts[k];
     if (record.weights) sum.load += record.weights->loads[k];
   }
@@ -62,7 +62,7 @@ Result<CountRecord> Tally::sum(int scene_parts) const {
   const auto first_part = [&](std::size_t seat) {
     return seat * static_cast<std::uint64_t>(scene_parts) / records_.size();
   };
-  std::map<std::int32_t, PartSum> parts;
+  std::vector<PartSum> parts;
   for (std::size_t seat = 0; seat < records_.size(); ++seat) {
     const CountRecord& record = *records_[seat];
     all.n += record.n;
@@ -84,10 +84,11 @@ Result<CountRecord> Tally::sum(int scene_parts) const {
   }
   all.parts.clear();
   all.counts.clear();
-  for (const auto& [part, sum] : parts) {
-    all.parts.push_back(part);
-    all.counts.push_back(static_cast<std::uint64_t>(sum.count));
-    if (all.weights) all.weights->loads.push_back(sum.load);
+  for (std::size_t part = 0; part < parts.size(); ++part) {
+    if (parts[part].count == 0) continue;
+    all.parts.push_back(static_cast<std::int32_t>(part));
+    all.counts.push_back(static_cast<std::uint64_t>(parts[part].count));
+    if (all.weights) all.weights->loads.push_back(parts[part].load);
   }
   if (const auto due = all.weights ? scale_due(*all.weights, all.n) : std::nullopt)
     for (const auto& record : records_)

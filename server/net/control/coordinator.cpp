@@ -269,6 +269,8 @@ void Coordinator::receive_directly(const std::shared_ptr<Block>& block) {
 void Coordinator::give_up(Block& block) {
   block.given_up = true;
   block.progress_check.cancel();
+  // The piece that is being read comes soon, or the connection ends: until then its memory isn't free.
+  if (block.rows_missing) block.connection->limit_reading(now() + duration_of(options_.frame_seconds));
   charged_bytes_ -= std::exchange(block.charged_bytes, 0);
   if (block.number != 0) refuse_directly(block.terms.id);
   receiving_.erase(block.number);
@@ -287,6 +289,15 @@ void Coordinator::slice_reported(int rank, const SliceReport& report) {
   if (!block->ready()) return;
   receiving_.erase(report.number);
   groups_.block_whole(*block);
+}
+
+bool Coordinator::may_have(const PushId& id) const {
+  const auto found = gates_.find(id.scene);
+  if (found == gates_.end()) return false;
+  const SceneGate& gate = found->second;
+  return gate.changes_unfinished > 0 || (gate.step && std::ranges::any_of(gate.step->shares, [&id](const auto& block) {
+                                           return block && block->terms.id == id;
+                                         }));
 }
 
 void Coordinator::refuse_directly(const PushId& id) {

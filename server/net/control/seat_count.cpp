@@ -23,8 +23,9 @@ Status SeatGroups::count(const PushId& id, Asker asker, Result<scene::CountRecor
   scene::Ledger& ledger = *coordinator_.scenes().find(id.scene);
   SceneGate& gate = coordinator_.gate(id.scene);
   if (const Status& fault = counted.status(); !fault.ok()) {
-    if (gate.counting && id.step == gate.counting->number)
-      end_count(id.scene, {fault.code(), name(id.scene, role->seat) + ": " + fault.message(), kRepeat});
+    const Status named(fault.code(), name(id.scene, role->seat) + ": " + fault.message(), kRepeat);
+    if (gate.counting && id.step == gate.counting->number) end_count(id.scene, named);
+    if (const auto step = gate.step; step && id.step == step->number) abort(*step, named);
     return fault;
   }
   const auto tell = [&asker](const std::string& json) {
@@ -34,6 +35,8 @@ Status SeatGroups::count(const PushId& id, Asker asker, Result<scene::CountRecor
   if (const Status fits = ledger.check_seat(*counted); !fits.ok())
     return ledger.was_in_last(id.session, id.step) ? tell(api::repeated(ledger)) : fits;
   if (gate.step) return tell(R"({"send":"the step is being pushed"})");
+  // Before the others' counts are waited for and added up.
+  if (ledger.has_too_many_parts()) return tell(R"({"send":"its parts are too many to be judged by one process"})");
   if (gate.counting && gate.counting->number != id.step)
     return {Code::invalid_argument,
             fmt::format("seat {} counts step {}, the others count step {}", role->seat, id.step, gate.counting->number),

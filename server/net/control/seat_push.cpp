@@ -104,6 +104,11 @@ Result<std::shared_ptr<Block>> SeatGroups::begin(const PushId& id, Asker asker, 
     if (!slice.ok()) return slice.status();
     block->slice = std::move(*slice);
   }
+  if (const auto& counting = coordinator_.gate(id.scene).counting; counting && counting->number != id.step)
+    return Status(
+        Code::invalid_argument,
+        fmt::format("seat {} pushes step {}, the others count step {}", role->seat, id.step, counting->number),
+        "all seats bring the same step");
   const auto step = step_for(id, *role);
   if (!step.ok()) return step.status();
   if (coordinator_.gate(id.scene).counting)

@@ -175,7 +175,8 @@ awaitable<Status> Session::serve(Frame frame) {
 
 void Session::drop_slices(const Json& push) {
   if (!may_bring_slices(push)) return;
-  if (const Result<PushId> id = read_push_id(push, number_); id.ok()) coordinator_->refuse_directly(*id);
+  if (const Result<PushId> id = read_push_id(push, number_); id.ok() && !coordinator_->may_have(*id))
+    coordinator_->refuse_directly(*id);
 }
 
 Status Session::admit_size(Request& request, std::size_t bytes) {

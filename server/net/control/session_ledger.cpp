@@ -109,8 +109,13 @@ awaitable<Status> Session::read_record(const Frame& frame, Result<wire::CountRec
                      fmt::format("count: a record of {} bytes, and the scene has {} parts", bytes, parts));
     co_return co_await connection_->skip_bulk(frame, bytes);
   }
-  std::vector<std::byte> record(bytes);
-  if (Status status = co_await connection_->read_bulk(record); !status.ok()) co_return status;
+  std::vector<std::byte> record;
+  while (record.size() < bytes) {  // memory grows with what comes
+    const std::size_t old = record.size();
+    record.resize(std::min<std::uint64_t>(bytes, old + (std::uint64_t{1} << 20U)));
+    Status status = co_await connection_->read_bulk(std::span(record).subspan(old));
+    if (!status.ok()) co_return status;
+  }
   wire::BulkChecksum checksum;
   checksum.add(record);
   if (Status status = co_await check_sum(frame, checksum, "a count"); !status.ok()) co_return status;

@@ -14,6 +14,7 @@ namespace {
 
 // Bytes reserved at once; beyond that, the array grows as bytes arrive.
 constexpr std::size_t kRoomAtOnce = std::size_t{64} << 20U;
+constexpr std::uint64_t kReadAtOnce = std::uint64_t{1} << 20U;
 
 }  // namespace
 
@@ -39,6 +40,7 @@ awaitable<void> Session::push(Request& request) {
     const auto joins = [&gate, by = role->by] { return gate.step && gate.step->by == by; };
     status = co_await wait_turn(request, id->scene, ready, joins);
   }
+  if (status.ok() && coordinator_->shutting_down()) status = {Code::unavailable, "the service is shutting down"};
   std::shared_ptr<Block> block;
   if (status.ok()) status = check_way(request.json);
   if (status.ok()) {
@@ -68,15 +70,18 @@ awaitable<Status> Session::receive(const Frame& frame, Block& block) {
     const std::uint64_t bytes = slice.count * 8;
     while (array.bytes.size() < bytes) {
       const std::size_t old = array.bytes.size();
+      // In pieces, so that what has come is charged soon, and the memory of a push that is given up is soon free.
+      const std::size_t next = std::min<std::uint64_t>(bytes, old + kReadAtOnce);
       const std::size_t room = std::min<std::uint64_t>(bytes, std::max(kRoomAtOnce, 2 * old));
-      if (!block.given_up && !array.bytes.try_reserve(room))
+      if (!block.given_up && next > array.bytes.capacity() && !array.bytes.try_reserve(room))
         coordinator_->groups().abort(
             block, {Code::too_large, fmt::format("no memory for the {} bytes of array '{}'", bytes, array.name)});
       if (block.given_up) {
         slice.arrays.clear();  // `array` is invalid from here on
+        connection_->limit_reading(TimePoint::max());
         co_return co_await connection_->skip_bulk(frame, left);
       }
-      array.bytes.resize(room);
+      array.bytes.resize(next);
       const std::span<std::byte> room_made = array.bytes.span().subspan(old);
       const std::span<std::byte> piece = single ? room_made.last(room_made.size() / 2) : room_made;
       const Status status = co_await connection_->read_bulk(piece);
@@ -88,6 +93,7 @@ awaitable<Status> Session::receive(const Frame& frame, Block& block) {
     }
     if (single) array.dtype = "<f8";
   }
+  if (block.given_up) connection_->limit_reading(TimePoint::max());
   co_return co_await check_sum(frame, checksum, "a push");
 }
 

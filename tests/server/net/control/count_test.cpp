@@ -315,6 +315,26 @@ TEST_F(SeatCount, AFaultHasAStepAndACodeThatIsKnown) {
   }
 }
 
+TEST_F(SeatCount, AFaultEndsAStepThatOthersPush) {
+  anna_.begin(1, 0);
+  anna_.call("scene.list");
+  bert_.request("count", {{"scene", "s"}, {"step", 1}, {"fault", {{"code", "not_finite"}, {"message", "x is nan"}}}});
+  for (Client* one : {&anna_, &bert_}) {
+    const Received told = one->receive_but_notices();
+    EXPECT_EQ(told.code(), "not_finite") << told.json;
+  }
+}
+
+TEST_F(SeatCount, APushOfAnotherStepLeavesWhatIsCounted) {
+  half(anna_);
+  anna_.call("scene.list");
+  bert_.begin(2, 0);
+  EXPECT_EQ(bert_.receive_but_notices().code(), "invalid_argument");
+  half(bert_);
+  expect_committed(anna_.receive_but_notices(), 1);
+  expect_committed(bert_.receive_but_notices(), 1);
+}
+
 // Anna has the scene open, and steps it by counts; bert asks.
 class Question : public Count {
  protected:
