@@ -291,13 +291,11 @@ void Coordinator::slice_reported(int rank, const SliceReport& report) {
   groups_.block_whole(*block);
 }
 
-bool Coordinator::may_have(const PushId& id) const {
+bool Coordinator::has_open(const PushId& id) const {
   const auto found = gates_.find(id.scene);
-  if (found == gates_.end()) return false;
-  const SceneGate& gate = found->second;
-  return gate.changes_unfinished > 0 || (gate.step && std::ranges::any_of(gate.step->shares, [&id](const auto& block) {
-                                           return block && block->terms.id == id;
-                                         }));
+  return found != gates_.end() && found->second.step &&
+         std::ranges::any_of(found->second.step->shares,
+                             [&id](const auto& block) { return block && block->terms.id == id; });
 }
 
 void Coordinator::refuse_directly(const PushId& id) {

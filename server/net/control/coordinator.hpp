@@ -166,8 +166,8 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   void slice_reported(int rank, const SliceReport& report);
   // Tells the ranks to drop the slices of a push that will not be opened.
   void refuse_directly(const PushId& id);
-  // Whether this push is open, or may be what a change under way does: the ranks need what it brings.
-  bool may_have(const PushId& id) const;
+  // Whether this very push is open, of which another was refused: the ranks need what it brings.
+  bool has_open(const PushId& id) const;
   void serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses);
   // The addresses, by rank, of the data listeners for clients of this endpoint; empty: there are none.
   const std::vector<std::string>& data_addresses(const std::string& endpoint) const;

@@ -175,7 +175,7 @@ awaitable<Status> Session::serve(Frame frame) {
 
 void Session::drop_slices(const Json& push) {
   if (!may_bring_slices(push)) return;
-  if (const Result<PushId> id = read_push_id(push, number_); id.ok() && !coordinator_->may_have(*id))
+  if (const Result<PushId> id = read_push_id(push, number_); id.ok() && !coordinator_->has_open(*id))
     coordinator_->refuse_directly(*id);
 }
 
