@@ -17,9 +17,11 @@
 namespace rcb::c {
 namespace {
 
-std::chrono::duration<double> wait_of(double seconds) {
-  constexpr double kDay = 86400;
-  return std::chrono::duration<double>(seconds > 0 ? std::min(seconds, kDay) : 0);  // NaN: 0
+using Clock = std::chrono::steady_clock;
+
+Clock::duration wait_of(double seconds) {
+  const double least = seconds > 0 ? std::min(seconds, wire::kDeadlineSecondsMax) : 0;  // NaN: 0
+  return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(least));
 }
 
 Result<client::Path> path_of(const char* name) {
@@ -33,6 +35,15 @@ Result<client::Path> path_of(const char* name) {
 }
 
 }  // namespace
+
+Status check_deadline(double seconds) {
+  if (seconds > 0) return {};
+  return {Code::invalid_argument, fmt::format("a deadline of {} seconds", seconds), "give a number above 0"};
+}
+
+Left::Left(double seconds) : until_(Clock::now() + wait_of(seconds)) {}
+
+double Left::seconds() const { return std::max(std::chrono::duration<double>(until_ - Clock::now()).count(), 0.001); }
 
 Status Turns::take(double seconds) {
   std::unique_lock lock(mutex_);
@@ -159,16 +170,17 @@ int rcbd_connect(const char* endpoint, const rcbd_connect_options* options, rcbd
 
 const char* rcbd_notice(rcbd_client* client) {
   static thread_local std::string last;
-  const int code = c::call([&]() -> Status {
+  bool found = false;
+  c::call([&]() -> Status {
     if (Status usable = c::check(client); !usable) return usable;
     auto text = client->notices.take();
-    if (!text) return {Code::not_found, "no notice"};
-    last = std::move(*text);
+    if (text) last = std::move(*text);
+    found = text.has_value();
     return {};
   });
-  return code == RCBD_OK ? last.c_str() : nullptr;
+  return found ? last.c_str() : nullptr;
 }
 
 void rcbd_interrupt(rcbd_client* client) {
-  if (client != nullptr && client->alive() && client->in_its_process()) client->interrupted = true;
+  if (c::usable(client)) client->interrupted = true;
 }

@@ -7,6 +7,7 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <deque>
 #include <mutex>
@@ -18,8 +19,22 @@
 #include "client/c/handle.hpp"
 #include "client/include/rcbd/rcbd.h"
 #include "client/lib/client.hpp"
+#include "common/wire/limits.hpp"
 
 namespace rcb::c {
+
+// A deadline must be above 0.
+Status check_deadline(double seconds);
+
+// What is left of a call's time, of which waiting for its turn is a part.
+class Left {
+ public:
+  explicit Left(double seconds = wire::kDeadlineSecondsDefault);
+  double seconds() const;  // above 0, as a deadline must be
+
+ private:
+  std::chrono::steady_clock::time_point until_;
+};
 
 // Lets one call after another go on.
 class Turns {
@@ -80,8 +95,8 @@ struct rcbd_client final : rcb::c::Handle {
   rcb::Status close() override;
   // Does the work when it is this call's turn. Errors also: busy, invalid_argument (it is closed).
   template <typename Work>
-  rcb::Status in_turn(double seconds, const Work& work) {
-    if (rcb::Status status = turns.take(seconds); !status) return status;
+  rcb::Status in_turn(const rcb::c::Left& left, const Work& work) {
+    if (rcb::Status status = turns.take(left.seconds()); !status) return status;
     const Turn turn{turns};
     if (!client) return {rcb::Code::invalid_argument, "the client was closed"};
     return work();

@@ -97,8 +97,9 @@ int rcbd_scene_cuts(rcbd_scene* scene, rcbd_cuts** to) {
     if (to == nullptr) return {Code::invalid_argument, "no room for the cuts: a null pointer"};
     *to = nullptr;
     if (Status usable = c::check(scene); !usable) return usable;
-    return scene->in_turn(wire::kDeadlineSecondsDefault, [&](client::Scene& open) {
-      auto cuts = open.cuts();
+    const c::Left left;
+    return scene->in_turn(left, [&](client::Scene& open) {
+      auto cuts = open.cuts(left.seconds());
       if (cuts) *to = new rcbd_cuts(std::move(*cuts));
       return cuts.status();
     });

@@ -28,7 +28,7 @@ class Handle {
   explicit Handle(Kind kind) : kind_(kind), process_(::getpid()) {}
   Handle(const Handle&) = delete;
   Handle& operator=(const Handle&) = delete;
-  virtual ~Handle() { mark_ = 0; }
+  virtual ~Handle() { mark_ = 0; }  // volatile: else the compiler leaves out what nobody reads
 
   // Ends it now, whoever still holds it. Only clients and scenes can.
   virtual Status close() { return {Code::invalid_argument, "only a client and a scene can be closed"}; }
@@ -43,7 +43,7 @@ class Handle {
  private:
   static constexpr std::uint64_t kMark = 0x3168644264626372;
 
-  std::uint64_t mark_ = kMark;
+  volatile std::uint64_t mark_ = kMark;
   Kind kind_;
   pid_t process_;
   std::atomic<std::int64_t> holders_{1};
@@ -57,6 +57,12 @@ Status check_kind(const void* pointer, Kind kind);
 template <typename T>
 Status check(const T* handle) {
   return check_kind(static_cast<const Handle*>(handle), T::kKind);
+}
+
+// The same in a signal handler: without a reason.
+template <typename T>
+bool usable(const T* handle) {
+  return handle != nullptr && handle->alive() && handle->kind() == T::kKind && handle->in_its_process();
 }
 
 // One holder of a handle. It ends with this.

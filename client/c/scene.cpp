@@ -15,7 +15,7 @@
 namespace rcb::c {
 namespace {
 
-constexpr std::chrono::milliseconds kBetweenLooks(50);  // for a scene that seat 0 has still to make
+constexpr std::chrono::duration<double> kBetweenLooks(0.05);  // for a scene that seat 0 has still to make
 
 const char* text_or(const char* given, const char* otherwise) { return given == nullptr ? otherwise : given; }
 
@@ -59,29 +59,29 @@ Status check_same(client::Client& client, const std::string& name, const client:
 }
 
 // One of several seats may come before the one that makes the scene.
-Result<client::Scene> open_when_there(rcbd_client& client, const std::string& name,
-                                      const client::SeatOptions& options) {
-  using Clock = std::chrono::steady_clock;
-  const auto until = Clock::now() + std::chrono::duration<double>(std::min(options.deadline_seconds, 86400.0));
+Result<client::Scene> open_when_there(rcbd_client& client, const std::string& name, const rcbd_scene_options& given,
+                                      const Left& left) {
   while (true) {
-    auto scene = client.client->open_scene(name, options);
-    if (scene || scene.status().code() != Code::not_found || options.seat == 0 || Clock::now() >= until) return scene;
+    auto scene = client.client->open_scene(name, {given.seat, given.seats, left.seconds()});
+    if (scene || scene.status().code() != Code::not_found || given.seat == 0 || left.seconds() < kBetweenLooks.count())
+      return scene;
     if (client.interrupted.exchange(false))
       return Status(Code::interrupted, fmt::format("interrupted; scene '{}' is not there yet", name));
     std::this_thread::sleep_for(kBetweenLooks);
   }
 }
 
-Result<client::Scene> make_or_open(rcbd_client& client, const std::string& name, const rcbd_scene_options& given) {
+Result<client::Scene> make_or_open(rcbd_client& client, const std::string& name, const rcbd_scene_options& given,
+                                   const Left& left) {
   client::Client& service = *client.client;
   const client::SceneOptions options = options_of(given);
   if (given.seat == 0 && given.parts > 0) {
-    const Status made = service.create_scene(name, options);
+    const Status made = service.create_scene(name, options, left.seconds());
     if (!made && (made.code() != Code::already_exists || options.replace)) return made;
   }
-  auto scene = open_when_there(client, name, {given.seat, given.seats, given.deadline_seconds});
+  auto scene = open_when_there(client, name, given, left);
   if (scene && given.parts > 0)
-    if (Status same = check_same(service, name, options, given.deadline_seconds); !same) return same;
+    if (Status same = check_same(service, name, options, left.seconds()); !same) return same;
   return scene;
 }
 
@@ -91,10 +91,7 @@ Status check_options(const rcbd_scene_options& options) {
     return {Code::invalid_argument, "a scene that is to be replaced, without its parts", "say how many parts it has"};
   if (options.threads < 1)
     return {Code::invalid_argument, fmt::format("{} threads", options.threads), "give 1 or more"};
-  if (!(options.deadline_seconds > 0))
-    return {Code::invalid_argument, fmt::format("a deadline of {} seconds", options.deadline_seconds),
-            "give a number above 0"};
-  return {};
+  return check_deadline(options.deadline_seconds);
 }
 
 template <typename T>
@@ -143,11 +140,13 @@ int rcbd_scene_open(rcbd_client* client, const char* name, const rcbd_scene_opti
     if (!given) return given.status();
     if (Status fits = c::check_options(*given); !fits) return fits;
     auto made = std::make_unique<rcbd_scene>(*client, name, given->threads);
-    Status status = client->in_turn(given->deadline_seconds, [&] {
-      auto scene = c::make_or_open(*client, made->name, *given);
+    const c::Left left(given->deadline_seconds);
+    Status status = client->in_turn(left, [&] {
+      auto scene = c::make_or_open(*client, made->name, *given, left);
       if (!scene) return scene.status();
       client->scenes.insert(made.get());
       made->scene.emplace(std::move(*scene));
+      made->opened = true;
       return Status();
     });
     if (status) *to = made.release();
@@ -160,7 +159,8 @@ int rcbd_scene_drop(rcbd_client* client, const char* name) {
   return c::call([&]() -> Status {
     if (Status usable = c::check(client); !usable) return usable;
     if (name == nullptr) return {Code::invalid_argument, "the name of the scene is NULL"};
-    return client->in_turn(wire::kDeadlineSecondsDefault, [&] { return client->client->drop_scene(name); });
+    const c::Left left;
+    return client->in_turn(left, [&] { return client->client->drop_scene(name, left.seconds()); });
   });
 }
 
@@ -168,8 +168,9 @@ int rcbd_last_step(rcbd_scene* scene, std::int64_t* step) {
   using namespace rcb;  // NOLINT
   return c::call([&]() -> Status {
     if (step == nullptr) return {Code::invalid_argument, "no room for the step: a null pointer"};
+    *step = -1;
     if (Status usable = c::check(scene); !usable) return usable;
-    return scene->in_turn(wire::kDeadlineSecondsDefault, [&](client::Scene& open) {
+    return scene->in_turn(c::Left(), [&](client::Scene& open) {
       *step = open.last_step().value_or(-1);
       return Status();
     });
@@ -189,7 +190,7 @@ int rcbd_arrays_new(rcbd_scene* scene, std::int64_t count, rcbd_layout layout, s
     auto made = std::make_unique<rcbd_arrays>();
     made->positions.count = count;
     made->positions.single = single;
-    Status status = scene->in_turn(wire::kDeadlineSecondsDefault, [&](client::Scene& open) {
+    Status status = scene->in_turn(c::Left(), [&](client::Scene& open) {
       const auto take = single != 0 ? c::take_arrays<float> : c::take_arrays<double>;
       if (Status given = take(open, static_cast<std::size_t>(count), layout, *made); !given) return given;
       made->memory = open.position_memory();

@@ -13,13 +13,15 @@ struct rcbd_scene final : rcb::c::Handle {
   static constexpr auto kKind = rcb::c::Kind::scene;
   rcbd_scene(rcbd_client& of, std::string called, int threads_of_steps)
       : Handle(kKind), client(of), name(std::move(called)), threads(threads_of_steps) {}
-  ~rcbd_scene() override { static_cast<void>(close()); }
+  ~rcbd_scene() override {
+    if (opened) static_cast<void>(close());  // else it may be what waited for the turn in vain
+  }
 
   rcb::Status close() override;
   // As rcbd_client::in_turn(). Errors also: invalid_argument (the scene is closed).
   template <typename Work>
-  rcb::Status in_turn(double seconds, const Work& work) {
-    return client->in_turn(seconds, [&]() -> rcb::Status {
+  rcb::Status in_turn(const rcb::c::Left& left, const Work& work) {
+    return client->in_turn(left, [&]() -> rcb::Status {
       if (!scene) return {rcb::Code::invalid_argument, "scene '" + name + "' was closed"};
       return work(*scene);
     });
@@ -28,6 +30,7 @@ struct rcbd_scene final : rcb::c::Handle {
   rcb::c::Held<rcbd_client> client;
   std::string name;
   int threads;
+  bool opened = false;                      // somebody has got the handle
   std::atomic<bool> steps{false};           // a step was begun that isn't done
   std::optional<rcb::client::Scene> scene;  // none: closed. Of who has the client's turn
 };

@@ -31,6 +31,7 @@ Result<StepAsk> ask_of(const rcbd_scene& scene, const rcbd_positions* positions,
   if (given->step < -1)
     return Status(Code::invalid_argument, fmt::format("step {}", given->step), "-1 is the next one");
   if (given->threads < 1) return Status(Code::invalid_argument, fmt::format("{} threads", given->threads));
+  if (Status fits = check_deadline(given->deadline_seconds); !fits) return fits;
   client::StepOptions with{.ids = optional_array(given->ids, rows->count),
                            .weights = optional_array(given->weights, rows->count),
                            .inserted = static_cast<std::uint64_t>(given->inserted),
@@ -49,15 +50,26 @@ Status busy_scene(const std::string& name) {
   return {Code::busy, fmt::format("a step of scene '{}' was begun and is not done", name), "rcbd_wait for it"};
 }
 
+// While it lasts, `cancelled` ends waiting. An exception ends it, too.
+struct Cancellable {
+  Cancellable(rcbd_client& of, const std::atomic<bool>* cancelled) : client(of) { client.cancelled = cancelled; }
+  Cancellable(const Cancellable&) = delete;
+  Cancellable& operator=(const Cancellable&) = delete;
+  ~Cancellable() { client.cancelled = nullptr; }
+  rcbd_client& client;
+};
+
 // In the thread of the caller, or the worker's.
 Result<client::StepResult> make_step(rcbd_scene& scene, const StepAsk& ask, const std::atomic<bool>* cancelled) {
   Result<client::StepResult> made = Status(Code::internal, "no step");
-  const Status status = scene.in_turn(ask.options.deadline_seconds, [&](client::Scene& open) {
+  const Left left(ask.options.deadline_seconds);
+  const Status status = scene.in_turn(left, [&](client::Scene& open) {
     if (cancelled != nullptr && cancelled->load())
       return Status(Code::interrupted, fmt::format("cancelled; no step of scene '{}' was begun", scene.name));
-    scene.client->cancelled = cancelled;
-    made = open.step(ask.positions, ask.options);
-    scene.client->cancelled = nullptr;
+    const Cancellable here(*scene.client, cancelled);
+    client::StepOptions options = ask.options;
+    options.deadline_seconds = left.seconds();
+    made = open.step(ask.positions, options);
     return made.status();
   });
   if (!status) return status;
@@ -120,6 +132,12 @@ rcbd_report report_of(const client::StepReport& told) {
   return report;
 }
 
+// What is given where a function fails.
+template <typename... Outputs>
+void clear(Outputs*... outputs) {
+  ((outputs != nullptr ? void(*outputs = {}) : void()), ...);
+}
+
 // The array of a result, with its length.
 template <typename T>
 Status give_array(const std::vector<T>& from, const T** to, std::int64_t* count) {
@@ -138,8 +156,8 @@ Status not_wanted(const char* option) {
 
 using namespace rcb;  // NOLINT: the functions below are not of a namespace
 
-rcbd_result::rcbd_result(client::StepResult&& step, const client::StepOptions& options)
-    : Handle(kKind), told(std::move(step)), has_parts(options.want_parts), has_changed(options.want_changes) {
+void rcbd_result::take(client::StepResult&& step) {
+  told = std::move(step);
   c::by_column(told.changes, &client::PartChange::part, changed_rows, changed_parts);
   c::by_column(told.leaving, &client::LeavingRow::to, leaving_rows, leaving_seats);
   told.changes = {};
@@ -148,9 +166,12 @@ rcbd_result::rcbd_result(client::StepResult&& step, const client::StepOptions& o
 
 void rcbd_op::run() {
   status = c::without_exceptions([&] {
+    auto room = std::make_unique<rcbd_result>(options);  // before the step: memory may be short
     auto made = c::make_step(*scene, {positions, options}, &cancelled);
-    if (made) result = new rcbd_result(std::move(*made), options);
-    return made.status();
+    if (!made) return made.status();
+    room->take(std::move(*made));
+    result = room.release();
+    return Status();
   });
   scene->steps = false;
 }
@@ -168,9 +189,12 @@ int rcbd_step(rcbd_scene* scene, const rcbd_positions* positions, const rcbd_ste
     const auto ask = c::ask_of(*scene, positions, options);
     if (!ask) return ask.status();
     if (scene->steps) return c::busy_scene(scene->name);
+    auto room = std::make_unique<rcbd_result>(ask->options);
     auto made = c::make_step(*scene, *ask, nullptr);
-    if (made && to != nullptr) *to = new rcbd_result(std::move(*made), ask->options);
-    return made.status();
+    if (!made || to == nullptr) return made.status();
+    room->take(std::move(*made));
+    *to = room.release();
+    return {};
   });
 }
 
@@ -184,11 +208,11 @@ int rcbd_step_begin(rcbd_scene* scene, const rcbd_positions* positions, const rc
     if (!ask) return ask.status();
     auto op = std::make_unique<rcbd_op>(*scene, ask->positions, ask->options);
     if (scene->steps.exchange(true)) return c::busy_scene(scene->name);
-    op->begun = true;
-    if (Status begun = scene->client->worker.add(*op); !begun) {
-      op->begun = scene->steps = false;
+    if (Status begun = c::without_exceptions([&] { return scene->client->worker.add(*op); }); !begun) {
+      scene->steps = false;
       return begun;
     }
+    op->begun = true;
     *to = op.release();
     return {};
   });
@@ -200,6 +224,7 @@ int rcbd_wait(rcbd_op* op, double seconds, rcbd_result** to) {
     if (to != nullptr) *to = nullptr;
     if (Status usable = c::check(op); !usable) return usable;
     if (std::isnan(seconds)) return {Code::invalid_argument, "a wait of NaN seconds"};
+    const c::Held<rcbd_op> held(*op);
     done = op->scene->client->worker.wait(*op, seconds);
     if (done && op->status) c::give(op->result, to);
     return done ? op->status : Status();
@@ -208,7 +233,7 @@ int rcbd_wait(rcbd_op* op, double seconds, rcbd_result** to) {
 }
 
 void rcbd_cancel(rcbd_op* op) {
-  if (op != nullptr && op->alive() && op->in_its_process()) op->cancelled = true;
+  if (c::usable(op)) op->cancelled = true;
 }
 
 int rcbd_result_report(rcbd_result* result, rcbd_report* report) {
@@ -220,6 +245,7 @@ int rcbd_result_report(rcbd_result* result, rcbd_report* report) {
 
 int rcbd_result_parts(rcbd_result* result, const std::int32_t** part, std::int64_t* count) {
   return c::call([&]() -> Status {
+    c::clear(part, count);
     if (Status usable = c::check(result); !usable) return usable;
     if (!result->has_parts) return c::not_wanted("want_parts");
     return c::give_array(result->told.parts, part, count);
@@ -228,6 +254,7 @@ int rcbd_result_parts(rcbd_result* result, const std::int32_t** part, std::int64
 
 int rcbd_result_changed(rcbd_result* result, const std::int64_t** row, const std::int32_t** part, std::int64_t* count) {
   return c::call([&]() -> Status {
+    c::clear(row, part, count);
     if (Status usable = c::check(result); !usable) return usable;
     if (!result->has_changed) return c::not_wanted("want_changed");
     if (Status given = c::give_array(result->changed_parts, part, count); !given) return given;
@@ -237,6 +264,7 @@ int rcbd_result_changed(rcbd_result* result, const std::int64_t** row, const std
 
 int rcbd_result_leaving(rcbd_result* result, const std::int64_t** row, const std::int32_t** seat, std::int64_t* count) {
   return c::call([&]() -> Status {
+    c::clear(row, seat, count);
     if (Status usable = c::check(result); !usable) return usable;
     if (Status given = c::give_array(result->leaving_seats, seat, count); !given) return given;
     return c::give_array(result->leaving_rows, row, count);

@@ -9,7 +9,10 @@
 
 struct rcbd_result final : rcb::c::Handle {
   static constexpr auto kKind = rcb::c::Kind::result;
-  rcbd_result(rcb::client::StepResult&& step, const rcb::client::StepOptions& options);
+  explicit rcbd_result(const rcb::client::StepOptions& options)
+      : Handle(kKind), has_parts(options.want_parts), has_changed(options.want_changes) {}
+
+  void take(rcb::client::StepResult&& step);
 
   rcb::client::StepResult told;
   bool has_parts, has_changed;
@@ -31,7 +34,7 @@ struct rcbd_op final : rcb::c::Handle {
   rcb::client::Positions positions;
   rcb::client::StepOptions options;
   std::atomic<bool> cancelled{false};
-  bool begun = false;  // the worker has it, and will set `done`
+  bool begun = false;  // the worker has it, and sets `done`
   bool done = false;   // of the worker's mutex; nothing below changes any more then
   rcb::Status status;
   rcbd_result* result = nullptr;  // with one holder, this

@@ -73,8 +73,7 @@ struct SceneOptions {
   std::vector<double> part_sizes{};  // [parts] > 0, in no unit: the share of each; empty: equal shares
   // When step() has the service's ranks take the positions: "every-step", or "when-needed": at first, where the cuts
   // may have to change, and where a question about positions waits. In other steps this library counts by the cuts
-  // itself, which takes one pass over the positions, and sends the counts. A step in which particles came or went
-  // always travels.
+  // itself, which takes one pass over the positions, and sends the counts.
   std::string positions = "every-step";
   int threads = 1;       // for counting
   bool replace = false;  // drops a scene of that name first; else it is an error (already_exists)
@@ -211,7 +210,7 @@ class Client {
   Client& operator=(Client&&) noexcept;
   ~Client();  // says goodbye
 
-  Status create_scene(const std::string& name, const SceneOptions& options);
+  Status create_scene(const std::string& name, const SceneOptions& options, double deadline_seconds = 60);
   // The scene stays open as long as the Scene lives, which must not outlive the Client. A scene that is dropped, or
   // made anew, is another one (not_found): open that. One Scene for each scene: a step number that another one of this
   // client has pushed is refused (stale_step). With seats > 1 takes the seat of a scene that one of the processes, or
@@ -219,7 +218,7 @@ class Client {
   // not_found, busy (another client has the seat and keeps it until the deadline, or this client has the scene open
   // otherwise), invalid_argument (another number of seats than the others say).
   Result<Scene> open_scene(const std::string& name, const SeatOptions& options = {});
-  Status drop_scene(const std::string& name);
+  Status drop_scene(const std::string& name, double deadline_seconds = 60);
   Status shutdown_service();
 
   // Any command of PROTOCOL.md except pushes. arguments_json: a JSON object without "command" ("" or "{}" for none).
@@ -262,7 +261,8 @@ class Scene {
   Result<std::vector<std::span<double>>> position_axes(std::size_t count);
   Result<std::span<float>> position_rows_f4(std::size_t count);
   Result<std::vector<std::span<float>>> position_axes_f4(std::size_t count);
-  // What keeps these arrays where they are for as long as it is held, also when there are others, or the Scene has gone.
+  // What keeps these arrays where they are for as long as it is held, also when there are others, or the Scene has
+  // gone.
   std::shared_ptr<const void> position_memory() const;
   std::optional<std::int64_t> last_step() const;
   // The cuts after the last step that was answered here, which came with that answer, or before any the cuts in force.

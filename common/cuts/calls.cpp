@@ -53,6 +53,8 @@ Status share_rows(std::size_t count, std::size_t shares,
       status[k] = work(k, count * k / shares, count * (k + 1) / shares);
     } catch (const std::bad_alloc&) {
       status[k] = Status(Code::too_large, "no memory");  // so short that it needs none
+    } catch (const std::exception&) {                    // which would end the process if it left a thread
+      status[k] = Status(Code::internal, "an exception");
     }
   };
   std::vector<std::thread> threads;

@@ -57,6 +57,36 @@ int main(void) {
 }
 """
 
+# The example of rcbd.h, in C and in C++.
+HEADER_SOLVER = """
+#include <rcbd/rcbd.h>
+#include <stdio.h>
+#include <stdlib.h>
+static void fail(const char* why) {
+  fprintf(stderr, "%s\\n", why);
+  exit(1);
+}
+int main(void) {
+  static double my_xyz[80][3];
+  const int64_t n = 80;
+EXAMPLE
+  rcbd_release(scene);
+  rcbd_release(client);
+  return 0;
+}
+"""
+
+FORTRAN_SOLVER = """
+program solver
+  use iso_c_binding
+  implicit none
+INTERFACE
+  type(rcbd_positions) :: at
+  at = rcbd_positions(int(c_sizeof(at), c_size_t), 0, 3, 3, 0, [c_null_ptr, c_null_ptr, c_null_ptr])
+  print '(i0)', rcbd_step(c_null_ptr, at, c_null_ptr, c_null_ptr)
+end program
+"""
+
 CUTS_SOLVER = """
 #include <cstdio>
 #include "client/lib/client.hpp"
@@ -107,6 +137,29 @@ class Documents(ServiceTest):
         done = run(program=program, endpoint=self.service.endpoint, check=True)
         # Eight places on a line. Both halves are this seat's, so it needs only images: those within 1.5 of the line.
         self.assertEqual(done.stdout.splitlines(), ["0 3", "0: 1 0 0", "1: 1 0 0", "7: -1 0 0"])
+
+    def test_the_example_of_the_header(self):
+        header = text_of(ROOT, "client/include/rcbd/rcbd.h")
+        example = header[header.index("     rcbd_client *client;"):header.index("   What a scene,")]
+        lib = os.path.abspath(os.path.join(BIN, "..", "lib"))
+        for compiler, standard, name in (("cc", "c99", "jet.c"), ("c++", "c++11", "jet.cpp")):
+            with self.subTest(name):
+                source, program = os.path.join(self.dir, name), os.path.join(self.dir, "jet")
+                write_text(source, HEADER_SOLVER.replace("EXAMPLE", example))
+                run("-std=" + standard, "-Wall", "-Wextra", "-pedantic", "-Werror", "-I", os.path.join(ROOT, "client", "include"),
+                    source, "-o", program, "-L", lib, "-lrcbd", "-Wl,-rpath," + lib, program="/usr/bin/" + compiler, check=True)
+                done = run(program=program, endpoint=self.service.endpoint, check=True)
+                self.assertEqual((done.stdout, done.stderr), ("", ""))
+        self.assertEqual(self.service.json("scene", "show", "jet")["step"], 1)
+
+    @unittest.skipUnless(shutil.which("gfortran"), "gfortran isn't installed")
+    def test_the_interface_in_fortran(self):
+        """By its messages: a scene that is NULL."""
+        source, program, lib = os.path.join(self.dir, "f.f90"), os.path.join(self.dir, "f"), os.path.abspath(os.path.join(BIN, "..", "lib"))
+        write_text(source, FORTRAN_SOLVER.replace("INTERFACE", block("docs/coupling.md", "fortran")))
+        run("-std=f2008", "-Wall", "-Wextra", "-Werror", "-J", self.dir, source, "-o", program, "-L", lib, "-lrcbd", "-Wl,-rpath," + lib,
+            program=shutil.which("gfortran"), check=True)
+        self.assertEqual(run(program=program, check=True).stdout.split(), ["1"])
 
     def test_the_readme_program(self):
         program = self.compile("c++", SOLVER + block("README.md", "cpp"))

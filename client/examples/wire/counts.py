@@ -39,7 +39,7 @@ def owners(x, ids, node, first, last):
 
 sock = socket.socket(socket.AF_UNIX); sock.connect(sys.argv[1]); stream = sock.makefile("rb"); receive()
 send({"protocol": 2, "client": "example 1", "session": f"{random.getrandbits(64):016x}"}, kind=2); receive()
-scene, steps, parts = {"scene": sys.argv[2]}, np.load(sys.argv[3]), 8
+scene, steps, parts = {"scene": sys.argv[2]}, np.load(sys.argv[3]).astype("<f8", copy=False), 8
 send(scene | {"command": "scene.create", "parts": parts, "positions": "when-needed", "replace": True}); receive()
 send(scene | {"command": "scene.open"}); opened = {"incarnation": receive()[0]["incarnation"]}
 known, ids = {}, np.arange(steps.shape[1])  # epoch and hash of the cuts

@@ -5,23 +5,26 @@
      rcbd_scene *scene;
      rcbd_result *result;
      rcbd_scene_options options = RCBD_SCENE_OPTIONS;
-     rcbd_positions xyz = rcbd_rows(my_xyz, n, 3);                      // double my_xyz[n][3]
+     rcbd_positions xyz = rcbd_rows(my_xyz[0], n, 3);                   // double my_xyz[n][3]
      options.parts = 8;
      if (rcbd_connect(NULL, NULL, &client)) fail(rcbd_message());
      if (rcbd_scene_open(client, "jet", &options, &scene)) fail(rcbd_message());
-     if (rcbd_step(scene, &xyz, NULL, &result)) fail(rcbd_message());  // at each step
+     if (rcbd_step(scene, &xyz, NULL, &result)) fail(rcbd_message());   // at each step
+     rcbd_release(result);
 
    What a scene, a part, a step, the error and the tolerance are, README.md says; docs/coupling.md says how to couple a
-   solver. This header is the reference of the functions.
+   solver. This header is the reference of the functions. Helpers and macros are in it alone, not in the library.
 
    Failures. A function that returns int returns RCBD_OK, which is 0, or another rcbd_code. rcbd_message() and
-   rcbd_hint() then say what was wrong and where, and what to do. A function that failed has set its results to NULL.
-   Null or wrong handles, wrong lengths, values that are not finite and closed scenes are failures, never a crash.
-   Nothing is printed.
+   rcbd_hint() then say what was wrong and where, and what to do. A function that failed has set the handles and
+   arrays that it gives to NULL. Null or wrong handles, wrong lengths, values that are not finite and closed scenes are
+   failures, never a crash; a handle that was freed is found as a rule, not always. Nothing is printed.
 
    Handles are counted. Whoever gets one holds it: rcbd_retain() adds a holder, rcbd_release() takes one away, and the
-   last one frees it. Arrays and texts that belong to a handle stay valid, where they are, as long as somebody holds it:
-   also after later steps, and after rcbd_close(). Results, cuts and arrays need no holder of their scene.
+   last one frees it. Each that is given is to be released; a call needs a holder of its handle until it returns. A
+   scene holds its client, an op its scene. Arrays and texts that belong to a handle stay valid, where they are, as long
+   as somebody holds it: also after later steps, and after rcbd_close(). Results, cuts and arrays need no holder of
+   their scene.
 
    Structs begin with their size, by which the library knows which fields the caller's version has. Begin with the macro
    of the same name (rcbd_report report = RCBD_REPORT;), which also sets the defaults. A null pointer to options means
@@ -31,16 +34,18 @@
    Lengths are in the unit of the positions. Times are seconds. A flag is 0 or 1.
 
    Threads. Any thread may call anything. Calls of a client and its scenes take turns: a call that has waited for its
-   turn until its deadline fails with RCBD_BUSY. Cuts, results and arrays can be read by many threads at once. Threads
-   that the library starts take no signals.
+   turn until its deadline fails with RCBD_BUSY. rcbd_interrupt() and rcbd_cancel() reach a call once it is its turn.
+   Cuts, results and arrays can be read by many threads at once. Threads that the library starts take no signals.
 
    Floating point. Each call computes with the default environment (rounding to nearest, no traps, denormals kept), and
    gives the caller's back as it was.
 
-   Deadlines. No call waits without one. A call returns at the latest 2 s or 5 % after its deadline, whichever is more.
+   Deadlines. No call waits without one. At most 3600 s; calls without one have 60 s. Waiting for its turn counts.
+   A call returns at the latest 2 s or 5 % after its deadline, whichever is more. rcbd_close() waits for the call under
+   way, and so does the last rcbd_release().
 
    Forks. In a forked child all calls with handles of the parent fail, and leave the parent's connections alone. The
-   child may connect by itself. */
+   child may connect by itself. The memory of rcbd_arrays stays shared with the parent: what either writes, both see. */
 #ifndef RCBD_RCBD_H
 #define RCBD_RCBD_H
 
@@ -201,7 +206,8 @@ static inline rcbd_positions rcbd_rows_f4(const float* xyz, int64_t count, int32
   for (a = 0; a < 3 && a < dims; ++a) rows.axis[a] = xyz ? (void*)(xyz + a) : NULL;
   return rows;
 }
-/* An array [count] for each axis; y and z are NULL where there are fewer. */
+/* An array [count] for each axis; y and z are NULL where there are fewer. Where arrays may be NULL, since a seat has no
+   particles, set `dims` of what it gives. */
 static inline rcbd_positions rcbd_axes(const double* x, const double* y, const double* z, int64_t count) {
   rcbd_positions axes = RCBD_POSITIONS;
   axes.count = count;
@@ -241,7 +247,7 @@ typedef struct rcbd_step_options {
   int32_t want_parts;    /* 1: rcbd_result_parts() */
   int32_t want_changed;  /* 1: rcbd_result_changed() */
   int32_t send;          /* 1: the positions travel, also where the scene does without */
-  int32_t threads;       /* at most so many */
+  int32_t threads;       /* at most so many, or as many as the scene's options say, if that is more */
   double deadline_seconds;
 } rcbd_step_options;
 #define RCBD_STEP_OPTIONS \
@@ -250,18 +256,23 @@ typedef struct rcbd_step_options {
 /* Makes a step with all rows of this process; there may be none. Returns when it is made on all ranks or on none. After
    a failure the step before stands. Only after deadline_exceeded, unavailable and interrupted, and with several seats
    aborted, the step may have been made: the same call again gives its result then.
-   Fails with: not_finite, not_conserved, duplicate_id, stale_step, invalid_argument, and those. result: may be NULL. */
+   Fails with: not_finite, not_conserved, duplicate_id, stale_step, invalid_argument, busy (somebody else steps the
+   scene, or a step was begun), not_found (the scene was dropped or made anew: open it again), too_large, unsupported,
+   and those. result: may be NULL. */
 int rcbd_step(rcbd_scene* scene, const rcbd_positions* positions, const rcbd_step_options* options,
               rcbd_result** result);
-/* The same, in a thread of the library. Until it is done the caller's arrays must stay as they are, and its options'
-   arrays, too; the structs themselves are copied. */
+/* The same, in a thread of the library, which makes the steps begun with one client one after another, in the order
+   begun; each has its deadline from when it is its turn. So processes that share several scenes begin them in the same
+   order, or use a client for each. Until it is done the caller's arrays must stay as they are, and its options' arrays,
+   too; the structs themselves are copied. */
 int rcbd_step_begin(rcbd_scene* scene, const rcbd_positions* positions, const rcbd_step_options* options, rcbd_op** op);
 /* Waits at most so long (0: not at all; < 0: until it is done) and returns RCBD_PENDING if it isn't done; else what
-   rcbd_step() would have. May be asked again, by any thread. result: may be NULL. */
+   rcbd_step() would have. May be asked again, by any thread; each result given is to
+   be released. result: may be NULL. */
 int rcbd_wait(rcbd_op* op, double seconds, rcbd_result** result);
-/* Ends the step with `interrupted`, unless it is done before that is noticed: within 0.1 s, or 2 s where the service has
-   gone. For other threads and signal handlers. Releasing the last handle of a step that isn't done cancels it and waits
-   for that. */
+/* Ends the step with `interrupted`, unless it is done before that is noticed: within 0.1 s, or 2 s where the service
+   has gone. Of several seats it then fails for all. For other threads and signal handlers. Releasing the last handle of
+   a step that isn't done cancels it and waits for that. */
 void rcbd_cancel(rcbd_op* op);
 
 /* What the service tells of a step. Texts belong to the result. */
@@ -288,7 +299,7 @@ typedef struct rcbd_report {
   int32_t repartitioned; /* 1: there are new cuts */
   int32_t sent;          /* 1: positions travelled in this step */
   const char* reason;    /* of the decision, in words */
-  const char* way;       /* "count", "shared-memory", "sockets", "endpoint" */
+  const char* way;       /* "count", "shared-memory", "sockets", "endpoint": the paths "shared", "direct", "gateway" */
   const char* json;      /* the whole report, as the service sent it */
 } rcbd_report;
 #define RCBD_REPORT                                                                                                \

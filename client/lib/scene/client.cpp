@@ -46,7 +46,7 @@ Result<Client> Client::connect(const ConnectOptions& options) {
   return Client(std::move(state));
 }
 
-Status Client::create_scene(const std::string& name, const SceneOptions& options) {
+Status Client::create_scene(const std::string& name, const SceneOptions& options, double deadline_seconds) {
   if (Status status = wire::check_scene_name(name); !status) return status;
   if (std::isnan(options.tolerance) || std::isnan(options.axis_hysteresis) || std::isnan(options.cut_tolerance))
     return {Code::invalid_argument, "a tolerance or axis hysteresis that is not a number"};
@@ -67,15 +67,14 @@ Status Client::create_scene(const std::string& name, const SceneOptions& options
     request["part_sizes"] = wire::Json::array();
     for (const double size : options.part_sizes) request["part_sizes"].push_back(wire::number_json(size));
   }
-  if (const auto made = state_->session->call(std::move(request), wire::kDeadlineSecondsDefault); !made)
-    return made.status();
+  if (const auto made = state_->session->call(std::move(request), deadline_seconds); !made) return made.status();
   state_->threads[name] = options.threads;
   return {};
 }
 
-Status Client::drop_scene(const std::string& name) {
+Status Client::drop_scene(const std::string& name, double deadline_seconds) {
   if (Status status = wire::check_scene_name(name); !status) return status;
-  return state_->session->call({{"command", "scene.drop"}, {"scene", name}}, wire::kDeadlineSecondsDefault).status();
+  return state_->session->call({{"command", "scene.drop"}, {"scene", name}}, deadline_seconds).status();
 }
 
 Status Client::shutdown_service() {

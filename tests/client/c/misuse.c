@@ -46,6 +46,8 @@ static void nulls(void) {
   rcbd_interrupt(NULL);
   rcbd_cancel(NULL);
   client = connected();
+  EXPECT_CODE(RCBD_INVALID_ARGUMENT, rcbd_close(NULL));
+  EXPECT(rcbd_notice(client) == NULL && strstr(rcbd_message(), "NULL") != NULL); /* no notice is no failure */
   EXPECT_CODE(RCBD_INVALID_ARGUMENT, rcbd_scene_open(client, NULL, NULL, &scene));
   EXPECT_CODE(RCBD_INVALID_ARGUMENT, rcbd_scene_open(client, "a", NULL, NULL));
   scene = opened(client, "nulls");
@@ -135,8 +137,20 @@ static void shapes(void) {
   report.error = -5;
   MUST(rcbd_result_report(result, &report));
   EXPECT(report.n == N && report.error == -5 && report.size == offsetof(rcbd_report, n) + sizeof report.n);
+  to = part;
+  row = &count;
+  count = 5;
   EXPECT_CODE(RCBD_NOT_FOUND, rcbd_result_parts(result, &to, &count));
+  EXPECT(to == NULL && count == 0);
+  to = part;
+  count = 5;
   EXPECT_CODE(RCBD_NOT_FOUND, rcbd_result_changed(result, &row, &to, &count));
+  EXPECT(row == NULL && to == NULL && count == 0);
+  row = &count;
+  to = part;
+  count = 5;
+  EXPECT_CODE(RCBD_INVALID_ARGUMENT, rcbd_result_leaving((rcbd_result*)scene, &row, &to, &count));
+  EXPECT(row == NULL && to == NULL && count == 0);
   MUST(rcbd_result_leaving(result, &row, &to, &count));
   EXPECT(count == 0);
   rcbd_release(result);
@@ -261,7 +275,9 @@ static void closed(void) {
   MUST(rcbd_close(scene));
   EXPECT_CODE(RCBD_INVALID_ARGUMENT, rcbd_step(scene, &positions, NULL, NULL));
   EXPECT(strstr(rcbd_message(), "'closed' was closed") != NULL);
+  count = 5;
   EXPECT_CODE(RCBD_INVALID_ARGUMENT, rcbd_last_step(scene, &count));
+  EXPECT(count == -1);
   MUST(rcbd_step_begin(scene, &positions, NULL, &op));
   EXPECT_CODE(RCBD_INVALID_ARGUMENT, rcbd_wait(op, -1, NULL));
   rcbd_release(op);

@@ -230,7 +230,7 @@ static void cancelled(void) {
   const rcbd_positions positions = all();
   static int64_t ids[N];
   struct itimerspec soon;
-  rcbd_scene* scene;
+  rcbd_scene *scene, *another;
   rcbd_result* result;
   rcbd_op *op, *second;
   pthread_t thread;
@@ -248,6 +248,9 @@ static void cancelled(void) {
   EXPECT_CODE(RCBD_PENDING, rcbd_wait(op, 0, &result));
   EXPECT_CODE(RCBD_PENDING, rcbd_wait(op, 0.05, &result));
   EXPECT_CODE(RCBD_INVALID_ARGUMENT, rcbd_wait(op, NAN, &result));
+  options.deadline_seconds = 0.1; /* which is over before the step: the failure doesn't wait for the turn again */
+  EXPECT_CODE(RCBD_BUSY, rcbd_scene_open(client, "another", &options, &another));
+  EXPECT_CODE(RCBD_PENDING, rcbd_wait(op, 0, &result));
   EXPECT_CODE(RCBD_BUSY, rcbd_step(scene, &positions, &with, &result));
   EXPECT_CODE(RCBD_BUSY, rcbd_step_begin(scene, &positions, &with, &second));
   EXPECT(pthread_create(&thread, NULL, release_it, op) == 0);
