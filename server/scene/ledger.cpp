@@ -76,6 +76,8 @@ DecisionTerms Ledger::terms(std::optional<double> step_seconds) const {
   terms.timed = true;
   terms.lost_seconds = lasting_.costs.lost_seconds_with(*step_seconds, now_.loads->imbalance);
   terms.repartition_seconds = lasting_.costs.repartition_seconds();
+  terms.balanced_seconds = *step_seconds / now_.loads->imbalance;
+  terms.best_imbalance = lasting_.costs.best_imbalance();
   terms.since = lasting_.costs.since();
   return terms;
 }

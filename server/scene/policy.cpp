@@ -23,9 +23,12 @@ Decision asked_by_tolerance(const PolicyInput& input) {
 
 Decision asked_by_cost(const PolicyInput& input) {
   const std::string since = input.since ? fmt::format("step {}", *input.since) : "the last repartition";
-  return {input.lost_seconds > input.repartition_seconds,
-          fmt::format("error {:.6g}; imbalance has cost {:.3g} s since {}, a repartition costs {:.3g} s",
-                      input.error_before, input.lost_seconds, since, input.repartition_seconds)};
+  const double ahead = std::min(input.balanced_seconds * std::max(input.imbalance - input.best_imbalance, 0.0),
+                                std::numeric_limits<double>::max());
+  return {input.lost_seconds + ahead > input.repartition_seconds,
+          fmt::format("error {:.6g}; imbalance has cost {:.3g} s since {} and would cost {:.3g} s in this one, a "
+                      "repartition costs {:.3g} s",
+                      input.error_before, input.lost_seconds, since, ahead, input.repartition_seconds)};
 }
 
 Decision asked(const PolicyInput& input) {
@@ -63,7 +66,11 @@ std::optional<Travel> travel_from_name(std::string_view name) {
 wire::Json to_json(const DecisionTerms& terms) {
   wire::Json json = wire::Json::object();
   if (terms.error_when_not_adopted) json["error_when_not_adopted"] = *terms.error_when_not_adopted;
-  if (terms.timed) json.update({{"lost", terms.lost_seconds}, {"repartition", terms.repartition_seconds}});
+  if (terms.timed)
+    json.update({{"lost", terms.lost_seconds},
+                 {"repartition", terms.repartition_seconds},
+                 {"balanced", terms.balanced_seconds},
+                 {"best", terms.best_imbalance}});
   if (terms.since) json["since"] = *terms.since;
   return json;
 }
@@ -75,6 +82,8 @@ DecisionTerms read_terms(const wire::Json& json) {
   terms.timed = json.contains("lost");
   terms.lost_seconds = json.value("lost", 0.0);
   terms.repartition_seconds = json.value("repartition", 0.0);
+  terms.balanced_seconds = json.value("balanced", 0.0);
+  terms.best_imbalance = json.value("best", 1.0);
   if (json.contains("since")) terms.since = json["since"].get<std::int64_t>();
   return terms;
 }
@@ -157,6 +166,7 @@ Decision decide_step(const SceneOptions& options, const partition::LoadSummary& 
   PolicyInput input;
   static_cast<DecisionTerms&>(input) = terms;
   input.error_before = loads.error;
+  input.imbalance = loads.imbalance;
   input.tolerance = options.tolerance;
   input.may_be_wasted = may_be_wasted(options, loads);
   input.policy = options.policy;

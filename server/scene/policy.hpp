@@ -2,10 +2,10 @@
 //
 // `tolerance` compares the error with a tolerance. `cost` compares the time lost by the error with the time of a
 // repartition: of the step times that the solver reports, the share 1 - best / imbalance was spent waiting for the most
-// loaded part, and new cuts are searched once the sum of these losses since the last repartition exceeds the time of a
-// repartition. If the loss per step grows steadily, this is the best interval possible; however it develops, the total
-// cost is at most about twice the least possible. Sources: Nicol and Saltz 1988, doi:10.1109/12.2131; Menon and others
-// 2012, doi:10.1109/CLUSTER.2012.61.
+// loaded part, and new cuts are searched once the sum of these losses since the last repartition, and of what the step
+// to come would lose under its imbalance, exceeds the time of a repartition. If the loss per step grows steadily, this
+// is the best interval possible; however it develops, the total cost is at most about twice the least possible.
+// Sources: Nicol and Saltz 1988, doi:10.1109/12.2131; Menon and others 2012, doi:10.1109/CLUSTER.2012.61.
 //
 // Invariants
 // 1. No clock is read here: a decision follows from its input. Rank 0 keeps the account, and an order tells all ranks
@@ -41,6 +41,7 @@ class CostAccount {
   double lost_seconds() const { return lost_seconds_; }
   double lost_seconds_with(double seconds, double imbalance) const;  // after computed(); finite
   double repartition_seconds() const;                                // median of the last kRemembered
+  double best_imbalance() const { return best_imbalance_; }
   wire::Json to_json() const;
   static CostAccount from_json(const wire::Json& json);  // throws std::exception where it can't be to_json()'s
   std::optional<std::int64_t> since() const { return since_; }
@@ -59,6 +60,8 @@ struct DecisionTerms {
   bool timed = false;                            // the policy is cost, and the solver reported this step's seconds
   double lost_seconds = 0;
   double repartition_seconds = 0;
+  double balanced_seconds = 0;  // of the step before, had each part had its target: its seconds / its imbalance
+  double best_imbalance = 1;    // that can be expected of new cuts
   std::optional<std::int64_t> since{};
 };
 
@@ -75,6 +78,7 @@ struct Decision {
 
 struct PolicyInput : DecisionTerms {
   double error_before = 0;
+  double imbalance = 1;        // of the step to come, under the cuts in force
   double tolerance = 0.1;      // may be infinity
   bool may_be_wasted = false;  // new cuts might fail to lower the error (weights, inexact cuts)
   double quota_error = 0;      // without weights: the error that quotas of whole particles leave

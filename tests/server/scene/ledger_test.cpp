@@ -85,18 +85,20 @@ TEST(Ledger, ChargesAStepForTheImbalanceBeforeItOnce) {
   EXPECT_EQ(lost(), 0);  // it was computed under 4 and 4
   EXPECT_EQ(in_words(scene.count(1, {5, 3})), "refused stale_step");
   EXPECT_EQ(lost(), 0);
+  scene.seconds = 0.5;
   EXPECT_EQ(in_words(scene.count(2, {5, 3})), "committed after 1");
-  EXPECT_DOUBLE_EQ(lost(), 0.2);  // of 1 s, with an imbalance of 1.25
+  EXPECT_DOUBLE_EQ(lost(), 0.1);  // of 0.5 s, with an imbalance of 1.25
   scene.seconds = 0.1;
   EXPECT_EQ(in_words(scene.count(3, {6, 2})), "committed after 2");
-  EXPECT_DOUBLE_EQ(lost(), 0.22);
-  scene.seconds = 0.1;
+  EXPECT_DOUBLE_EQ(lost(), 0.12);
+  scene.seconds = 0.3;
   for (int again = 0; again < 3; ++again)
     EXPECT_EQ(in_words(scene.count(4, {6, 2})),
-              "send: error 0.5; imbalance has cost 0.253 s since step 0, a repartition costs 0.25 s");
-  EXPECT_DOUBLE_EQ(lost(), 0.22);
+              "send: error 0.5; imbalance has cost 0.22 s since step 0 and would cost 0.1 s in this one, "
+              "a repartition costs 0.25 s");
+  EXPECT_DOUBLE_EQ(lost(), 0.12);
   scene.push(4, {6, 2});
-  EXPECT_DOUBLE_EQ(lost(), 0.22 + 0.1 * (1 - 1 / 1.5));
+  EXPECT_DOUBLE_EQ(lost(), 0.12 + 0.3 * (1 - 1 / 1.5));
   scene.push(5, {4, 4}, Search::adopted);
   EXPECT_EQ(lost(), 0);
   EXPECT_EQ(scene.ledger->terms(0.0).since, 5);

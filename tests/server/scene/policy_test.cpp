@@ -39,7 +39,24 @@ TEST(Policy, CostMustBeExceeded) {
   EXPECT_FALSE(decide(by_cost(0.009, 0.009)).search);
   const Decision decision = decide(by_cost(0.012, 0.009));
   EXPECT_TRUE(decision.search);
-  EXPECT_EQ(decision.reason, "error 0.3; imbalance has cost 0.012 s since step 40, a repartition costs 0.009 s");
+  EXPECT_EQ(decision.reason,
+            "error 0.3; imbalance has cost 0.012 s since step 40 and would cost 0 s in this one, a repartition costs "
+            "0.009 s");
+}
+
+TEST(Policy, CostLooksAStepAhead) {
+  PolicyInput input = by_cost(0.005, 0.009);
+  input.balanced_seconds = 0.01;
+  input.imbalance = 1.5;
+  EXPECT_TRUE(decide(input).search);  // 0.005 s more
+  input.best_imbalance = 1.2;         // 0.003 s
+  EXPECT_FALSE(decide(input).search);
+  input.best_imbalance = 1.6;  // better than can be expected
+  EXPECT_NE(decide(input).reason.find("would cost 0 s"), std::string::npos);
+  input.balanced_seconds = std::numeric_limits<double>::max();
+  input.best_imbalance = 1;
+  input.imbalance = 1e9;
+  EXPECT_TRUE(decide(input).search);
 }
 
 TEST(Policy, ToleranceHasNoSayInCost) {

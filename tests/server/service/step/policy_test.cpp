@@ -1,5 +1,7 @@
 // The service deciding by its policy when it repartitions, with clocks that differ from rank to rank.
 #include <algorithm>
+#include <cmath>
+#include <string>
 
 #include <gtest/gtest.h>
 
@@ -45,8 +47,13 @@ TEST(ServicePolicy, CostDecidesTheSameOnAllRanks) {
         std::vector<double> last(costs.end() - std::min<std::ptrdiff_t>(5, std::ssize(costs)), costs.end());
         std::sort(last.begin(), last.end());
         const double cost = (last[(last.size() - 1) / 2] + last[last.size() / 2]) / 2;
-        EXPECT_EQ(report["repartitioned"].get<bool>(), lost > cost) << step << ": " << report["reason"];
-        EXPECT_NE(report["reason"].get<std::string>().find("imbalance has cost"), std::string::npos);
+        const std::string reason = report["reason"];
+        ASSERT_NE(reason.find("imbalance has cost"), std::string::npos);
+        const std::string word = "would cost ";
+        const double all = lost + std::stod(reason.substr(reason.find(word) + word.size()));  // of three digits
+        if (std::abs(all - cost) > 0.01 * cost) {
+          EXPECT_EQ(report["repartitioned"].get<bool>(), all > cost) << reason;
+        }
       }
       imbalance = report["imbalance"];
       if (!report["repartitioned"]) continue;
@@ -89,10 +96,11 @@ TEST(ServicePolicy, WhatAFirstPushAndARebalanceDoToTheSum) {
     EXPECT_EQ(reasons[0], "first positions");
     EXPECT_NE(reasons[1].find("has cost 0 s since step 0"), std::string::npos) << reasons[1];
     EXPECT_EQ(reasons[2].find("has cost 0 s"), std::string::npos) << reasons[2];
-    const std::string lost = reasons[2].substr(reasons[2].find("imbalance"));
+    const std::size_t from = reasons[2].find("imbalance"), to = reasons[2].find(" and would cost");
+    const std::string lost = reasons[2].substr(from, to - from);
     EXPECT_NE(reasons[3].find(lost), std::string::npos) << "a dry run changes nothing: " << reasons[3];
     EXPECT_NE(reasons[4].find("has cost 0 s since the last repartition"), std::string::npos) << reasons[4];
-    const std::string price = lost.substr(lost.find("a repartition costs"));
+    const std::string price = reasons[2].substr(reasons[2].find("a repartition costs"));
     EXPECT_NE(reasons[4].find(price), std::string::npos) << "that of the first partition: " << reasons[4];
   });
 }
@@ -141,8 +149,8 @@ TEST(ServicePolicy, AVainSearchSettlesTheAccount) {
       const Json& report = pushed.json["report"];
       const std::string reason = report["reason"];
       EXPECT_EQ(report["repartitioned"].get<bool>(), step == 0);
-      EXPECT_EQ(reason.ends_with("not adopted"), step == 2) << step << ": " << reason;
-      EXPECT_EQ(reason.find("imbalance has cost 0 s") != std::string::npos, step == 1 || step > 2) << step << reason;
+      EXPECT_EQ(reason.ends_with("not adopted"), step == 1) << step << ": " << reason;
+      EXPECT_EQ(reason.find("imbalance has cost 0 s") != std::string::npos, step > 0) << step << reason;
     }
   });
 }
