@@ -6,9 +6,8 @@
 #pragma once
 
 #include <cfenv>
-#include <exception>
-#include <new>
 
+#include "common/base/exceptions.hpp"
 #include "common/base/status.hpp"
 
 namespace rcb::c {
@@ -29,17 +28,6 @@ class DefaultFloatingPoint {
 
 // Keeps a failure for rcbd_message(), and returns its code.
 int told(Status status) noexcept;
-
-template <typename Work>
-Status without_exceptions(const Work& work) noexcept {
-  try {
-    return work();
-  } catch (const std::bad_alloc&) {
-    return {Code::too_large, "no memory"};  // so short that it needs none
-  } catch (const std::exception&) {
-    return {Code::internal, "an exception"};
-  }
-}
 
 template <typename Work>
 int call(const Work& work) noexcept {

@@ -24,16 +24,6 @@ Clock::duration wait_of(double seconds) {
   return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(least));
 }
 
-Result<client::Path> path_of(const char* name) {
-  using client::Path;
-  const std::string_view text = name == nullptr ? "auto" : name;
-  if (text == "auto") return Path::automatic;
-  if (text == "shared") return Path::shared;
-  if (text == "direct") return Path::direct;
-  if (text == "gateway") return Path::gateway;
-  return Status(Code::invalid_argument, fmt::format("the path '{}'", text), "give auto, shared, direct or gateway");
-}
-
 }  // namespace
 
 Status check_deadline(double seconds) {
@@ -154,8 +144,10 @@ int rcbd_connect(const char* endpoint, const rcbd_connect_options* options, rcbd
     *to = nullptr;
     auto given = c::read_struct(options, rcbd_connect_options RCBD_CONNECT_OPTIONS, "RCBD_CONNECT_OPTIONS");
     if (!given) return given.status();
-    const auto path = c::path_of(given->path);
-    if (!path) return path.status();
+    const std::string_view way = given->path == nullptr ? "auto" : given->path;
+    const auto path = client::path_from_name(way);
+    if (!path)
+      return {Code::invalid_argument, fmt::format("the path '{}'", way), "give auto, shared, direct or gateway"};
     auto made = std::make_unique<rcbd_client>();
     Status status = made->connect({.endpoint = endpoint == nullptr ? "" : endpoint,
                                    .deadline_seconds = given->deadline_seconds,

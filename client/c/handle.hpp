@@ -7,8 +7,7 @@
 // 1. A function first asks check() of each handle that it is given, which finds null pointers, handles of another kind
 //    or already freed, and those of a process that was forked from the one that made them.
 // 2. In a forked child nothing is freed or ended: the threads that would have to help are not there, and the
-// connections
-//    are the parent's.
+//    connections are the parent's.
 #pragma once
 
 #include <atomic>

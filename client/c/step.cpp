@@ -165,7 +165,7 @@ void rcbd_result::take(client::StepResult&& step) {
 }
 
 void rcbd_op::run() {
-  status = c::without_exceptions([&] {
+  status = without_exceptions([&] {
     auto room = std::make_unique<rcbd_result>(options);  // before the step: memory may be short
     auto made = c::make_step(*scene, {positions, options}, &cancelled);
     if (!made) return made.status();
@@ -208,7 +208,7 @@ int rcbd_step_begin(rcbd_scene* scene, const rcbd_positions* positions, const rc
     if (!ask) return ask.status();
     auto op = std::make_unique<rcbd_op>(*scene, ask->positions, ask->options);
     if (scene->steps.exchange(true)) return c::busy_scene(scene->name);
-    if (Status begun = c::without_exceptions([&] { return scene->client->worker.add(*op); }); !begun) {
+    if (Status begun = without_exceptions([&] { return scene->client->worker.add(*op); }); !begun) {
       scene->steps = false;
       return begun;
     }

@@ -37,6 +37,8 @@ namespace rcb::client {
 // direct, gateway); by default through shared memory with the ranks on this machine, else large pushes directly if
 // the ranks' own addresses answer. Where a push can't take `shared`, it takes another; `direct` fails where it can't.
 enum class Path { automatic, shared, direct, gateway };
+// By the words of RCBD_PATH; none: it is another word.
+std::optional<Path> path_from_name(std::string_view name);
 
 // Deadlines, here and below: within them attempts begin, and the service is told to answer. The call itself returns
 // later by at most 2 s or 5 %, whichever is more, so that what the service answers at the deadline still arrives.

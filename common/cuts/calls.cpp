@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 
 #include "common/base/axis_names.hpp"
+#include "common/base/exceptions.hpp"
 #include "common/base/index.hpp"
 #include "common/base/signals.hpp"
 
@@ -49,13 +50,7 @@ Status share_rows(std::size_t count, std::size_t shares,
                   const std::function<Status(std::size_t, std::size_t, std::size_t)>& work) {
   std::vector<Status> status(shares);
   const auto run = [&](std::size_t k) {
-    try {
-      status[k] = work(k, count * k / shares, count * (k + 1) / shares);
-    } catch (const std::bad_alloc&) {
-      status[k] = Status(Code::too_large, "no memory");  // so short that it needs none
-    } catch (const std::exception&) {                    // which would end the process if it left a thread
-      status[k] = Status(Code::internal, "an exception");
-    }
+    status[k] = without_exceptions([&] { return work(k, count * k / shares, count * (k + 1) / shares); });
   };
   std::vector<std::thread> threads;
   threads.reserve(shares);

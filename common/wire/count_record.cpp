@@ -34,6 +34,15 @@ static_assert(sizeof(Head) == 120);
 // What else than the numbers that are always there; where a bit is 0 its number says nothing.
 enum Says : std::uint64_t { id_sum_bit = 1, drifted_bit = 2, step_seconds_bit = 4, weights_bit = 8, all_bits = 15 };
 
+// Those that are always there, and as they are in the record.
+constexpr std::pair<std::uint64_t Head::*, std::uint64_t CountRecord::*> kAlways[] = {
+    {&Head::incarnation, &CountRecord::incarnation},
+    {&Head::epoch, &CountRecord::epoch},
+    {&Head::hash, &CountRecord::hash},
+    {&Head::n, &CountRecord::n},
+    {&Head::inserted, &CountRecord::inserted},
+    {&Head::removed, &CountRecord::removed}};
+
 struct Row {
   std::uint64_t part;
   std::uint64_t count;
@@ -125,13 +134,8 @@ std::string encode(const CountRecord& record) {
     head.says |= bit;
     into = *value;
   };
-  head.incarnation = record.incarnation;
+  for (const auto& [there, here] : kAlways) head.*there = record.*here;
   head.step = static_cast<std::uint64_t>(record.step);
-  head.epoch = record.epoch;
-  head.hash = record.hash;
-  head.n = record.n;
-  head.inserted = record.inserted;
-  head.removed = record.removed;
   say(id_sum_bit, record.id_sum, head.id_sum);
   say(drifted_bit, record.drifted, head.drifted);
   say(step_seconds_bit, record.step_seconds, head.step_seconds);
@@ -158,13 +162,8 @@ Result<CountRecord> decode_count_record(std::span<const std::byte> bytes) {
   const auto head = value_at<Head>(bytes, 0);
   if (Status status = check_head(head); !status.ok()) return status;
   CountRecord record;
+  for (const auto& [there, here] : kAlways) record.*here = head.*there;
   record.step = static_cast<std::int64_t>(head.step);
-  record.incarnation = head.incarnation;
-  record.epoch = head.epoch;
-  record.hash = head.hash;
-  record.n = head.n;
-  record.inserted = head.inserted;
-  record.removed = head.removed;
   if ((head.says & id_sum_bit) != 0) record.id_sum = head.id_sum;
   if ((head.says & drifted_bit) != 0) record.drifted = head.drifted;
   if ((head.says & step_seconds_bit) != 0) record.step_seconds = head.step_seconds;

@@ -165,11 +165,16 @@ Status Ledger::check(const CountRecord& record) const {
   return {};
 }
 
+std::optional<CountVerdict::Send> Ledger::always_sends() const {
+  if (now_.options.parts <= (now_.weights ? kWeightedPartsMax : kPartsMax)) return std::nullopt;
+  return CountVerdict::Send{"its parts are too many to be judged by one process"};
+}
+
 CountVerdict Ledger::count(const CountRecord& record) {
   if (Status status = check(record); !status.ok()) return {status};
   if (!now_.step) return {CountVerdict::Send{"first positions"}};
   if (now_.options.positions == Travel::every_step) return {CountVerdict::Send{"the scene's ranks hold every step"}};
-  if (has_too_many_parts()) return {CountVerdict::Send{"its parts are too many to be judged by one process"}};
+  if (auto send = always_sends()) return {*std::move(send)};
   if (record.epoch != now_.epoch || record.hash != now_.hash) return {CountVerdict::OtherCuts{}};
   // Not before the cuts are known, since the push tells how many particles have drifted under them.
   if (!now_.positions_step) return {CountVerdict::Send{"the ranks hold no positions since the service was started"}};

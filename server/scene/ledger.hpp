@@ -93,8 +93,8 @@ class Ledger {
   void take(Rebalanced rebalanced);
   void take(const Asked& asked);
 
-  // Whether its counts are always told to send.
-  bool has_too_many_parts() const { return now_.options.parts > (now_.weights ? kWeightedPartsMax : kPartsMax); }
+  // Why whatever is counted is told to send; none: it isn't. So the counts of the seats needn't be added up.
+  std::optional<CountVerdict::Send> always_sends() const;
   CountVerdict count(const CountRecord& record);
   // What a count must fit even if it is only that of one of the scene's seats. Errors: stale_step, not_found (another
   // incarnation).

@@ -52,6 +52,19 @@ std::string text_of(const StepSeconds& seconds) {
   return text.take();
 }
 
+// drifted: null if none knows it.
+void put_counts(ObjectText& text, const StepCounts& counts, bool drifted_known) {
+  text.put("bytes", counts.bytes);
+  text.put("drifted", drifted_known ? std::optional(counts.drifted) : std::nullopt);
+  text.put("moved", counts.moved);
+  text.put("migrated", counts.migrated);
+  text.put("scanned", counts.scanned);
+  text.put("searched", counts.searched);
+  text.put("rounds", counts.rounds);
+  text.put("reductions", counts.reductions);
+  text.put_raw("seconds", text_of(counts.seconds));
+}
+
 }  // namespace
 
 const char* name_of(Way way) {
@@ -101,25 +114,6 @@ StepCounts& StepCounts::operator+=(const StepCounts& other) {
   return *this;
 }
 
-wire::Json to_json(const StepCounts& counts) {
-  wire::Json json = wire::Json::object();
-  json["bytes"] = counts.bytes;
-  json["drifted"] = counts.drifted;
-  json["moved"] = counts.moved;
-  json["migrated"] = counts.migrated;
-  json["scanned"] = counts.scanned;
-  json["searched"] = counts.searched;
-  json["rounds"] = counts.rounds;
-  json["reductions"] = counts.reductions;
-  wire::Json& seconds = json["seconds"];
-  seconds["receive"] = counts.seconds.receive;
-  seconds["exchange"] = counts.seconds.exchange;
-  seconds["search"] = counts.seconds.search;
-  seconds["migrate"] = counts.seconds.migrate;
-  seconds["total"] = counts.seconds.total;
-  return json;
-}
-
 // Not by way of a tree of values: it is written at each step, and seldom looked into.
 std::string text_of(const StepReport& report) {
   ObjectText text;
@@ -134,25 +128,23 @@ std::string text_of(const StepReport& report) {
   text.put("repartitioned", report.repartitioned);
   text.put("reason", report.reason);
   text.put("axes_flipped", report.axes_flipped);
-  text.put("drifted", report.drifted_known ? std::optional(report.drifted) : std::nullopt);
-  text.put("moved", report.moved);
-  text.put("migrated", report.migrated);
   text.put("inserted", report.inserted);
   text.put("removed", report.removed);
   text.put("strangers", report.strangers);
   if (report.weights_as_zero > 0) text.put("weights_as_zero", report.weights_as_zero);
-  text.put("scanned", report.scanned);
-  text.put("searched", report.searched);
-  text.put("rounds", report.rounds);
-  text.put("reductions", report.reductions);
   const std::vector<std::string> skipped = report.skipped.names();
   text.put_raw("skipped", skipped.empty() ? "[]" : fmt::format("[\"{}\"]", fmt::join(skipped, "\",\"")));
   text.put_raw("way", fmt::format("\"{}\"", name_of(report.way)));
-  text.put("bytes", report.bytes);
   text.put("sent", report.sent());
   text.put("positions_step", report.positions_step);
-  text.put_raw("seconds", text_of(report.seconds));
+  put_counts(text, report, report.drifted_known);
   return text.take();
+}
+
+wire::Json to_json(const StepCounts& counts) {
+  ObjectText text;
+  put_counts(text, counts, true);
+  return wire::Json::parse(text.take());
 }
 
 wire::Json to_json(const StepReport& report) { return wire::Json::parse(text_of(report)); }

@@ -103,6 +103,20 @@ class DataPath(Refusals, ServiceTest):
             self.assertTrue(client.push_directly("broken", 1, points + 1)[0]["repeated"])
         self.assertEqual(self.service.json("scene", "show", "broken")["step"], 1)
 
+    def test_a_refused_twin_leaves_the_rows_of_the_open_push(self):
+        with Direct(self.path) as client:
+            client.ask("scene.create", scene="twin", parts=4)
+            client.begin("twin", 0, self.walk[0], deadline_seconds=10)
+            slices, first = client.slices, client.number
+            client.attempts -= 1  # the same attempt once more
+            client.begin("twin", 0, self.walk[0], deadline_seconds=10)
+            with self.assertRaises(Refused) as refused:
+                client.finish()
+            self.assertEqual(refused.exception.args[0], "aborted")
+            client.slices, client.begun = slices, first
+            client.send_slices()
+            self.assertEqual(client.finish()[0]["report"]["n"], len(self.walk[0]))
+
     def test_a_push_that_is_whole_at_its_deadline_is_committed_or_refused(self):
         points, seconds, codes = self.walk[0, :2000], 0.002, []
         with Direct(self.path) as client:

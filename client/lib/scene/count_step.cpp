@@ -18,15 +18,23 @@ std::uint64_t sum_of_rows(std::uint64_t n) {
   return sum;
 }
 
-// The request `count`. more: further fields, each with a comma before it. Names of scenes need no quoting.
-std::string request_frame(std::uint64_t request, const CountCall& call, double seconds, const std::string& more,
-                          const std::string& record) {
+// The request `count` with a record. Names of scenes need no quoting.
+std::string count_frame(std::uint64_t request, const CountCall& call, double seconds, const std::string& record) {
   wire::FrameHeader header;
   header.request = request;
   header.bulk_bytes = record.size();
-  return wire::encode_frame(header, fmt::format(R"({{"command":"count","scene":"{}","deadline_seconds":{}{}}})",
-                                                call.scene, seconds, more)) +
+  return wire::encode_frame(
+             header, fmt::format(R"({{"command":"count","scene":"{}","deadline_seconds":{}}})", call.scene, seconds)) +
          record;
+}
+
+// The same with a fault in its place.
+std::string fault_frame(std::uint64_t request, const CountCall& call, double seconds, const Status& fault) {
+  return request_frame(request, {{"command", "count"},
+                                 {"scene", call.scene},
+                                 {"deadline_seconds", seconds},
+                                 {"step", call.step},
+                                 {"fault", wire::failure_json(fault)["failure"]}});
 }
 
 }  // namespace
@@ -127,10 +135,9 @@ Result<std::optional<Answer>> CountStep::ask(const CountCall& call, const Counte
     const Status counted = count(*cuts.known, rows, call.last_step, scale);
     if (!counted && !call.of_seat) return counted;
     const std::uint64_t request = call.session.next_request();
-    const std::string more = counted ? ""
-                                     : fmt::format(R"(,"step":{},"fault":{})", call.step,
-                                                   wire::dump_json(wire::failure_json(counted)["failure"]));
-    const std::string sent = request_frame(request, call, retry.seconds_left(), more, counted ? record(call) : "");
+    const double seconds = retry.seconds_left();
+    const std::string sent =
+        counted ? count_frame(request, call, seconds, record(call)) : fault_frame(request, call, seconds, counted);
     auto told = call.session.exchange_frames(
         request, sent, fmt::format("count of step {} of scene '{}'", call.step, call.scene), retry.deadline());
     if (!counted) return counted;  // the others have been told

@@ -13,7 +13,7 @@ namespace rcb::client {
 
 bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) const {
   const Path path = session().path();
-  if ((path != Path::automatic && path != Path::shared)) return false;
+  if (path != Path::automatic && path != Path::shared) return false;
   // Ranks on other hosts get their rows over sockets. It is worth while if few positions are copied for nothing.
   const auto worth_while = [&] {
     const std::size_t apart = session().ranks_apart().size();

@@ -89,14 +89,22 @@ std::string joined(const std::vector<Endpoint>& endpoints) {
 Status read_path(Path& path) {
   const char* const given = std::getenv("RCBD_PATH");
   const std::string_view name = given == nullptr ? "" : given;
-  if (path != Path::automatic || name.empty() || name == "auto") return {};
-  if (name == "direct") return path = Path::direct, Status();
-  if (name == "gateway") return path = Path::gateway, Status();
-  if (name == "shared") return path = Path::shared, Status();
+  if (path != Path::automatic || name.empty()) return {};
+  const auto found = path_from_name(name);
+  path = found.value_or(path);
+  if (found) return {};
   return {Code::invalid_argument, fmt::format("RCBD_PATH is '{}'", name), "auto, shared, direct or gateway"};
 }
 
 }  // namespace
+
+std::optional<Path> path_from_name(std::string_view name) {
+  constexpr std::pair<std::string_view, Path> kPaths[] = {
+      {"auto", Path::automatic}, {"shared", Path::shared}, {"direct", Path::direct}, {"gateway", Path::gateway}};
+  for (const auto& [known, path] : kPaths)
+    if (known == name) return path;
+  return std::nullopt;
+}
 
 std::string request_frame(std::uint64_t request, const wire::Json& json) {
   return frame_of(wire::FrameType::request, request, json);

@@ -35,8 +35,7 @@ Status SeatGroups::count(const PushId& id, Asker asker, Result<scene::CountRecor
   if (const Status fits = ledger.check_seat(*counted); !fits.ok())
     return ledger.was_in_last(id.session, id.step) ? tell(api::repeated(ledger)) : fits;
   if (gate.step) return tell(R"({"send":"the step is being pushed"})");
-  // Before the others' counts are waited for and added up.
-  if (ledger.has_too_many_parts()) return tell(R"({"send":"its parts are too many to be judged by one process"})");
+  if (auto send = ledger.always_sends()) return tell(api::verdict_text(ledger, {*std::move(send)}));
   if (gate.counting && gate.counting->number != id.step)
     return {Code::invalid_argument,
             fmt::format("seat {} counts step {}, the others count step {}", role->seat, id.step, gate.counting->number),

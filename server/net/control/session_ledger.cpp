@@ -140,7 +140,7 @@ awaitable<void> Session::count(Request& request) {
       fault = {Code::invalid_argument, "field 'fault': expected {\"code\",\"message\"}"};
     counted = std::move(fault);
   } else if (counted.ok()) {
-    id.step = static_cast<std::int64_t>(counted->step);
+    id.step = counted->step;
   } else if (status.ok()) {
     status = counted.status();
   }

@@ -55,6 +55,7 @@ awaitable<void> Session::push(Request& request) {
   --answering_;  // from here on the step's end answers it
   request.breach = co_await receive(*std::exchange(request.unread, nullptr), *block);
   ++answering_;
+  connection_->limit_reading(TimePoint::max());  // which a block that is given up sets
   if (!request.breach.ok() || block->given_up) co_return;
   block->rows_missing = false;
   groups.block_whole(*block);
@@ -93,7 +94,6 @@ awaitable<Status> Session::receive(const Frame& frame, Block& block) {
     }
     if (single) array.dtype = "<f8";
   }
-  if (block.given_up) connection_->limit_reading(TimePoint::max());
   co_return co_await check_sum(frame, checksum, "a push");
 }
 
