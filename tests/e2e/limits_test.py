@@ -1,11 +1,12 @@
 """What one request can cost: long histories and many parts come in pages and arrays, and while one client asks for them
 the others are answered; long commands end at their deadline; rank 0's memory is bounded."""
+import contextlib
 import select
 import shutil
 import tempfile
 import threading
 
-from protocol_client import NOTICE, REPLY, Client, Refused, arrays_of, count_record
+from protocol_client import NOTICE, REPLY, REQUEST, Client, Refused, arrays_of, count_record, frame
 from support import *
 
 
@@ -56,6 +57,20 @@ def pages(client, command, take, **arguments):
         assert page["next"] > page["from"]
         next_page = {"from": page["next"]}
         arguments.pop("last", None)
+
+
+class Announcements(unittest.TestCase):
+    def test_a_count_that_is_announced_takes_no_memory(self):
+        with Service(1) as service, contextlib.ExitStack() as stack:
+            control = stack.enter_context(Client(service.endpoint))
+            control.ask("scene.create", scene="wide", parts=2**20, positions="when-needed")
+            before = memory_mib(rank_0(service))
+            announced = frame(REQUEST, 2, {"command": "count", "scene": "wide"}, bytes(120 + 32 * 2**20))
+            for _ in range(40):
+                stack.enter_context(Client(service.endpoint)).socket.sendall(announced[:200])
+            time.sleep(0.5)
+            control.ask("status")
+            self.assertLess(memory_mib(rank_0(service)) - before, 40)  # of 1,280
 
 
 class History(unittest.TestCase):

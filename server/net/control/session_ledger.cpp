@@ -109,10 +109,11 @@ awaitable<Status> Session::read_record(const Frame& frame, Result<wire::CountRec
                      fmt::format("count: a record of {} bytes, and the scene has {} parts", bytes, parts));
     co_return co_await connection_->skip_bulk(frame, bytes);
   }
+  constexpr std::uint64_t kReadAtOnce = std::uint64_t{64} << 10U;  // as much as a connection takes that only announces
   std::vector<std::byte> record;
   while (record.size() < bytes) {  // memory grows with what comes
     const std::size_t old = record.size();
-    record.resize(std::min<std::uint64_t>(bytes, old + (std::uint64_t{1} << 20U)));
+    record.resize(std::min<std::uint64_t>(bytes, old + kReadAtOnce));
     Status status = co_await connection_->read_bulk(std::span(record).subspan(old));
     if (!status.ok()) co_return status;
   }
