@@ -52,10 +52,10 @@ std::string text_of(const StepSeconds& seconds) {
   return text.take();
 }
 
-// drifted: null if none knows it.
-void put_counts(ObjectText& text, const StepCounts& counts, bool drifted_known) {
+// drifted: none where nobody knows it.
+void put_counts(ObjectText& text, const StepCounts& counts, std::optional<std::uint64_t> drifted) {
   text.put("bytes", counts.bytes);
-  text.put("drifted", drifted_known ? std::optional(counts.drifted) : std::nullopt);
+  text.put("drifted", drifted);
   text.put("moved", counts.moved);
   text.put("migrated", counts.migrated);
   text.put("scanned", counts.scanned);
@@ -137,13 +137,13 @@ std::string text_of(const StepReport& report) {
   text.put_raw("way", fmt::format("\"{}\"", name_of(report.way)));
   text.put("sent", report.sent());
   text.put("positions_step", report.positions_step);
-  put_counts(text, report, report.drifted_known);
+  put_counts(text, report, report.drifted_known ? std::optional(report.drifted) : std::nullopt);
   return text.take();
 }
 
 wire::Json to_json(const StepCounts& counts) {
   ObjectText text;
-  put_counts(text, counts, true);
+  put_counts(text, counts, counts.drifted);
   return wire::Json::parse(text.take());
 }
 
