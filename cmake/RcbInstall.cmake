@@ -59,10 +59,12 @@ else()
   message(STATUS "no Python 3: no man pages and completions are installed")
 endif()
 
-set(module_dir "${CMAKE_INSTALL_DATADIR}/modulefiles/rcbd")
-file(RELATIVE_PATH up_from_module "/${module_dir}" /)
-configure_file("${from}/modulefile.in" "${made}/${PROJECT_VERSION}" @ONLY)
-install(FILES "${made}/${PROJECT_VERSION}" DESTINATION "${module_dir}" COMPONENT runtime)
+if(NOT RCB_DEBIAN)  # whose packages are found without
+  set(module_dir "${CMAKE_INSTALL_DATADIR}/modulefiles/rcbd")
+  file(RELATIVE_PATH up_from_module "/${module_dir}" /)
+  configure_file("${from}/modulefile.in" "${made}/${PROJECT_VERSION}" @ONLY)
+  install(FILES "${made}/${PROJECT_VERSION}" DESTINATION "${module_dir}" COMPONENT runtime)
+endif()
 
 # The documents stand to one another as in the sources, so that their links hold; what they link to elsewhere, links lead to.
 file(RELATIVE_PATH to_include "/${CMAKE_INSTALL_DOCDIR}/client" "/${CMAKE_INSTALL_INCLUDEDIR}")
@@ -75,3 +77,7 @@ install(FILES common/wire/PROTOCOL.md DESTINATION "${CMAKE_INSTALL_DOCDIR}/commo
 install(DIRECTORY deploy/slurm deploy/container DESTINATION "${CMAKE_INSTALL_DOCDIR}/deploy" COMPONENT runtime)
 install(DIRECTORY client/examples DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONENT runtime
         PATTERN __pycache__ EXCLUDE)
+
+if(RCB_DEBIAN)
+  include(RcbDebian)
+endif()
