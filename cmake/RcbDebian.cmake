@@ -1,4 +1,4 @@
-# cpack: Debian's packages, one of each component. Configured by deploy/package, which also says why these options are set.
+# cpack: Debian's packages, one of each component. Configured by deploy/package.
 set(CPACK_GENERATOR DEB)
 set(CPACK_DEB_COMPONENT_INSTALL ON)
 set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
@@ -52,20 +52,20 @@ function(rcb_package component name section)
 endfunction()
 
 # OpenSSL is asked for by name where a library opens it at run time, which dpkg-shlibdeps doesn't see.
-rcb_package(runtime rcbd science DEPENDS "openmpi-bin" RECOMMENDS "gnuplot-nox | gnuplot, python3-rcbd"
-  SUGGESTS "librcbd-dev, slurm-client"
+rcb_package(runtime rcbd science DEPENDS "openmpi-bin" RECOMMENDS "gnuplot-nox | gnuplot"
+  SUGGESTS "librcbd-dev, python3-rcbd, slurm-client"
   DESCRIPTION "partitioning service for particle simulations
 The service rcbd divides the particles of a simulation into parts of equal load
 by recursive coordinate bisection, and keeps them balanced while the particles
-move. The command rcbctl starts, asks and stops it, and divides files of points.")
+move. The command rcbctl starts, asks and stops it, and divides files.")
 rcb_package(library librcbd1 libs RECOMMENDS "libssl3" SUGGESTS "rcbd" CONTROL "${for_debian}/triggers"
   DESCRIPTION "client library of the partitioning service rcbd
 By this library solvers push their particles to the service rcbd and learn
 which part owns which of them.")
 rcb_package(dev librcbd-dev libdevel DEPENDS "librcbd1 ${same_version}" SUGGESTS "rcbd, gfortran, pkg-config"
   DESCRIPTION "client library of the partitioning service rcbd, for building
-Headers for C and C++, the sources of the Fortran modules, the CMake package and
-the pkg-config file of librcbd.")
+Headers for C and C++, the sources of the Fortran modules, the CMake package
+and the pkg-config file of librcbd.")
 if(python_files)
   rcb_package(python python3-rcbd python ARCHITECTURE all DEPENDS "python3 (>= 3.9), python3-numpy, librcbd1 (>= ${PROJECT_VERSION})"
     SUGGESTS "rcbd, python3-mpi4py" CONTROL "${for_debian}/postinst" "${for_debian}/prerm"

@@ -25,7 +25,7 @@ write_basic_package_version_file("${made}/rcbd-config-version.cmake" COMPATIBILI
 install(FILES "${made}/rcbd-config.cmake" "${made}/rcbd-config-version.cmake" DESTINATION "${package_dir}" COMPONENT dev)
 
 set(pkgconfig_dir "${CMAKE_INSTALL_LIBDIR}/pkgconfig")
-file(RELATIVE_PATH up_from_pkgconfig "/${pkgconfig_dir}" /)
+string(REGEX REPLACE "[^/]+" ".." up_from_pkgconfig "${pkgconfig_dir}")
 configure_file("${from}/rcbd.pc.in" "${made}/rcbd.pc" @ONLY)
 install(FILES "${made}/rcbd.pc" DESTINATION "${pkgconfig_dir}" COMPONENT dev)
 
@@ -61,7 +61,7 @@ endif()
 
 if(NOT RCB_DEBIAN)  # whose packages are found without
   set(module_dir "${CMAKE_INSTALL_DATADIR}/modulefiles/rcbd")
-  file(RELATIVE_PATH up_from_module "/${module_dir}" /)
+  string(REGEX REPLACE "[^/]+" ".." up_from_module "${module_dir}")
   configure_file("${from}/modulefile.in" "${made}/${PROJECT_VERSION}" @ONLY)
   install(FILES "${made}/${PROJECT_VERSION}" DESTINATION "${module_dir}" COMPONENT runtime)
 endif()
