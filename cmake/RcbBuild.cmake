@@ -2,6 +2,7 @@
 
 option(RCB_SERVICE "build the service, its programs and the solvers; off: the client library alone" ${PROJECT_IS_TOP_LEVEL})
 option(RCB_TESTS "build the tests and benchmarks" ${PROJECT_IS_TOP_LEVEL})
+option(RCB_INSTALL "let cmake --install install it" ${PROJECT_IS_TOP_LEVEL})
 option(RCB_PEERS "let rcb_bench call Zoltan and Zoltan2 too, where they are found" OFF)
 option(RCB_TOGETHER "compile all sources of a folder at once, in a third of the time; off: each by itself" ON)
 option(RCB_WERROR "let a compiler's warning end the build" ${PROJECT_IS_TOP_LEVEL})
@@ -16,6 +17,7 @@ set(CMAKE_CXX_STANDARD_REQUIRED ON)
 set(CMAKE_CXX_EXTENSIONS OFF)
 set(CMAKE_EXPORT_COMPILE_COMMANDS ON)
 set(CMAKE_RUNTIME_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/bin")
+set(CMAKE_INSTALL_RPATH_USE_LINK_PATH ON)  # libraries in folders of one's own are found there; ours need no path
 # Asserts of our own (RCB_CHECK) stay on in release. The folders with loops over particles ask for -O3 (HOT); elsewhere it
 # costs compile time and gains nothing.
 set(CMAKE_CXX_FLAGS_RELEASE "-O2")
@@ -136,9 +138,9 @@ function(rcb_c_library)
   set(map "${PROJECT_SOURCE_DIR}/client/c/librcbd.map")
   rcb_sources(sources client/c)
   add_library(rcbd_library SHARED ${sources})
-  set_target_properties(rcbd_library PROPERTIES OUTPUT_NAME rcbd SOVERSION 1 VERSION 1 LINK_DEPENDS "${map}"
+  set_target_properties(rcbd_library PROPERTIES OUTPUT_NAME rcbd SOVERSION 1 VERSION 1 EXPORT_NAME rcbd LINK_DEPENDS "${map}"
                                                 LIBRARY_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/lib")
-  target_include_directories(rcbd_library INTERFACE "${PROJECT_SOURCE_DIR}/client/include")
+  target_include_directories(rcbd_library INTERFACE "$<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/client/include>")
   target_link_libraries(rcbd_library PRIVATE rcb_flags rcb::client_lib)
   target_link_options(rcbd_library PRIVATE "-Wl,--version-script=${map}" -Wl,-z,nodelete -Wl,-z,defs -Wl,--as-needed)
   math(EXPR number "10000 * ${PROJECT_VERSION_MAJOR} + 100 * ${PROJECT_VERSION_MINOR} + ${PROJECT_VERSION_PATCH}")

@@ -57,7 +57,7 @@ extern "C" {
 #endif
 
 /* Of this header: 10000 major + 100 minor + patch. */
-#define RCBD_VERSION 100
+#define RCBD_VERSION 10000
 
 /* ---- failures ---- */
 

@@ -28,11 +28,13 @@ namespace {
 constexpr double kSilenceSeconds = 600;  // chunks are all unpacked once before the first point is sent
 constexpr int kPollMilliseconds = 50;    // between looks at the order to stop
 
-// rcb_read_hdf5 beside this program; else its name alone, for PATH.
+// rcb_read_hdf5 beside this program, or where it is installed; else its name alone, for PATH.
 std::string program() {
   std::error_code error;
-  const auto beside = std::filesystem::read_symlink("/proc/self/exe", error).parent_path() / kHdf5Program;
-  return ::access(beside.c_str(), X_OK) == 0 ? beside.string() : kHdf5Program;
+  const auto folder = std::filesystem::read_symlink("/proc/self/exe", error).parent_path();
+  for (const char* place : {"", "../lib/rcbd"})
+    if (const auto there = folder / place / kHdf5Program; ::access(there.c_str(), X_OK) == 0) return there.string();
+  return kHdf5Program;
 }
 
 // The reading program at work; killed at the end of this object.
