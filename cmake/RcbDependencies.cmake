@@ -5,12 +5,17 @@ find_package(Threads REQUIRED)
 find_package(Boost 1.81 REQUIRED)
 find_package(nlohmann_json REQUIRED)
 find_package(fmt REQUIRED)
-find_package(OpenSSL 3.0 REQUIRED COMPONENTS Crypto SSL)
+find_package(OpenSSL 3.0 REQUIRED)
 
 # Of fmt and xxHash the headers alone (rcb_flags has the macros for it): so librcbd.so needs no shared library of either.
 add_library(rcb_fmt INTERFACE)
 get_target_property(rcb_fmt_include fmt::fmt INTERFACE_INCLUDE_DIRECTORIES)
 target_include_directories(rcb_fmt SYSTEM INTERFACE "${rcb_fmt_include}")
+
+# Of OpenSSL too: its libraries are opened when they are needed (common/openssl).
+add_library(rcb_openssl INTERFACE)
+target_include_directories(rcb_openssl SYSTEM INTERFACE "${OPENSSL_INCLUDE_DIR}")
+target_link_libraries(rcb_openssl INTERFACE ${CMAKE_DL_LIBS})
 
 find_path(RCB_XXHASH_INCLUDE xxhash.h REQUIRED)
 add_library(rcb_xxhash INTERFACE)

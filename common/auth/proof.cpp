@@ -6,12 +6,10 @@
 #include <vector>
 
 #include <fmt/format.h>
-#include <openssl/crypto.h>
-#include <openssl/evp.h>
-#include <openssl/hmac.h>
 #include <sys/random.h>
 
 #include "common/base/check.hpp"
+#include "common/openssl/openssl.hpp"
 
 namespace rcb::auth {
 namespace {
@@ -24,11 +22,17 @@ std::string hex(std::span<const unsigned char> bytes) {
   return text;
 }
 
+void require_openssl() {
+  const Status opened = open_openssl();
+  RCB_CHECK(opened.ok(), opened.message());
+}
+
 }  // namespace
 
 std::string proof(Role role, std::string_view token, const Opening& opening) {
   RCB_CHECK(is_nonce(opening.service_nonce) && is_nonce(opening.client_nonce), "a proof over what is no nonce");
   RCB_CHECK(!token.empty() && token.size() <= std::numeric_limits<int>::max(), "a proof of no token");
+  require_openssl();
   // Fields contain no newlines, so different openings always give different texts.
   std::string text = fmt::format("rcbd proof 1\n{}\n{}\n{}\n{}\n{}\n", role == Role::client ? "client" : "service",
                                  opening.listener, opening.service_nonce, opening.client_nonce, opening.session);
@@ -56,6 +60,7 @@ std::string random_hex(std::size_t bytes) {
 }
 
 bool same_secret(std::string_view a, std::string_view b) {
+  require_openssl();
   return a.size() == b.size() && CRYPTO_memcmp(a.data(), b.data(), a.size()) == 0;
 }
 

@@ -9,6 +9,8 @@
 //    connection without TLS one who passes everything on is not.
 // 3. Secrets are compared in a time that doesn't depend on where they differ.
 //
+// proof() and same_secret() need OpenSSL: open_openssl() must have succeeded (common/openssl).
+//
 // A token also says whether its service trusts the network (trusts_network). It reaches clients by a way that nobody on
 // the network controls, so nobody there can talk a client out of encryption.
 #pragma once

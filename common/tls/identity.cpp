@@ -1,8 +1,6 @@
 #include "common/tls/identity.hpp"
 
 #include <fmt/format.h>
-#include <openssl/ec.h>
-#include <openssl/err.h>
 
 #include "common/tls/openssl.hpp"
 
@@ -32,6 +30,7 @@ CertificatePointer self_signed(EVP_PKEY* key) {
 }  // namespace
 
 Result<std::shared_ptr<const Identity>> Identity::make() {
+  if (Status opened = open_openssl(); !opened.ok()) return opened;
   ERR_clear_error();
   const auto refused = [] {
     return Status(Code::unsupported, fmt::format("this machine's OpenSSL has no TLS 1.3: {}", last_reason()));

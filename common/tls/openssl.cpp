@@ -3,7 +3,6 @@
 #include <array>
 
 #include <fmt/format.h>
-#include <openssl/err.h>
 
 namespace rcb::tls {
 namespace {

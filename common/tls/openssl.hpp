@@ -4,19 +4,17 @@
 #include <memory>
 #include <string>
 
-#include <openssl/evp.h>
-#include <openssl/ssl.h>
-#include <openssl/x509.h>
+#include "common/openssl/openssl.hpp"
 
 namespace rcb::tls {
 
-template <typename T, void (*kFree)(T*)>
+template <auto& kFree>
 struct Free {
-  void operator()(T* object) const { kFree(object); }
+  void operator()(auto* object) const { kFree(object); }
 };
-using ContextPointer = std::unique_ptr<SSL_CTX, Free<SSL_CTX, SSL_CTX_free>>;
-using CertificatePointer = std::unique_ptr<X509, Free<X509, X509_free>>;
-using KeyPointer = std::unique_ptr<EVP_PKEY, Free<EVP_PKEY, EVP_PKEY_free>>;
+using ContextPointer = std::unique_ptr<SSL_CTX, Free<SSL_CTX_free>>;
+using CertificatePointer = std::unique_ptr<X509, Free<X509_free>>;
+using KeyPointer = std::unique_ptr<EVP_PKEY, Free<EVP_PKEY_free>>;
 
 // The settings of both sides; null if this OpenSSL has no TLS 1.3.
 ContextPointer make_context(const SSL_METHOD* method);

@@ -6,8 +6,6 @@
 #include <string_view>
 #include <utility>
 
-#include <openssl/bio.h>
-#include <openssl/err.h>
 #include <sys/socket.h>
 
 #include "common/tls/openssl.hpp"
@@ -120,6 +118,7 @@ Result<std::unique_ptr<Stream>> Stream::accept(const Identity& identity, int soc
 }
 
 Result<std::unique_ptr<Stream>> Stream::connect(int socket) {
+  if (Status opened = open_openssl(); !opened.ok()) return opened;
   ssl_st* ssl = client_context() != nullptr ? SSL_new(client_context()) : nullptr;
   if (ssl != nullptr) SSL_set_connect_state(ssl);
   return make(ssl, socket);

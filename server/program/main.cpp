@@ -13,6 +13,7 @@
 
 #include "common/base/child.hpp"
 #include "common/files/paths.hpp"
+#include "common/openssl/openssl.hpp"
 #include "server/net/files/log_sink.hpp"
 #include "server/program/client_folders.hpp"
 #include "server/program/config.hpp"
@@ -77,6 +78,10 @@ int run(int argc, char** argv) {
   keep_freed_memory();
   raise_open_files_limit();
   set_up_signals(ranks::rank_from_environment());
+  if (const Status opened = open_openssl(); !opened.ok()) {  // for proofs between ranks, too
+    say_failure(opened);
+    return 1;
+  }
   auto mpi = ranks::MpiSession::start(&argc, &argv);
   if (!mpi.ok()) {
     if (ranks::rank_from_environment() == 0) say_failure(mpi.status());

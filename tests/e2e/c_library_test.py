@@ -10,6 +10,15 @@ LIBRARY = os.path.join(BIN, "..", "lib", "librcbd.so.1")
 SEED, PARTS, STEPS = 4301, 7, 100
 TOLD = tuple(field for field in FIELDS if field != "reason")
 
+# A program that only connects: prints the code, the message and the hint.
+CONNECT = """
+import ctypes, sys
+library = ctypes.CDLL(sys.argv[1])
+library.rcbd_message.restype = library.rcbd_hint.restype = ctypes.c_char_p
+print(library.rcbd_connect(sys.argv[2].encode(), None, ctypes.byref(ctypes.c_void_p())))
+print(library.rcbd_message().decode(), library.rcbd_hint().decode(), sep=chr(10))
+"""
+
 
 def drifting(seed, points, dims):
     """STEPS steps of points that drift; on a grid, so that ids decide too."""
@@ -133,10 +142,30 @@ class CLibrary(ServiceTest):
         """Neither MPI nor HDF5 nor any library that must be there at the same version as where it was built."""
         dynamic = run("-d", LIBRARY, program="/usr/bin/readelf", check=True).stdout
         needed = set(re.findall(r"NEEDED.*\[(.*)\]", dynamic))
-        self.assertLessEqual(needed, {"libssl.so.3", "libcrypto.so.3", "libstdc++.so.6", "libm.so.6", "libgcc_s.so.1", "libc.so.6",
-                                      "ld-linux-x86-64.so.2", "ld-linux-aarch64.so.1"})
+        self.assertLessEqual(needed, {"libstdc++.so.6", "libm.so.6", "libgcc_s.so.1", "libc.so.6", "ld-linux-x86-64.so.2",
+                                      "ld-linux-aarch64.so.1"})
         self.assertRegex(dynamic, r"SONAME.*\[librcbd\.so\.1\]")
         self.assertRegex(dynamic, "FLAGS_1.*NODELETE")
+
+    def test_openssl_is_opened_when_tcp_is_used(self):
+        """Where it isn't there, or is another library of that name, Unix sockets do without, and TCP says what is missing."""
+        serial, folder = os.path.join(BIN, "serial_c"), os.path.join(self.dir, "without")
+        os.mkdir(folder)
+        hidden = os.path.join(folder, "libssl.so.3")
+        without = {"LD_LIBRARY_PATH": folder}
+        with Service(1, tcp=f"127.0.0.1:{free_port()}") as service:
+            run(program=serial, endpoint=service.endpoint, check=True)
+            history = service.json("history", "serial")
+            for hide in (lambda: write_text(hidden, ""), lambda: os.symlink(os.path.abspath(LIBRARY), hidden)):
+                hide()
+                run(program=serial, endpoint=self.service.endpoint, env=without, check=True)
+                done = run("-c", CONNECT, LIBRARY, service.endpoint, program=sys.executable, env=without, check=True)
+                code, message, hint = done.stdout.splitlines()
+                self.assertEqual(code, "16")  # RCBD_UNSUPPORTED
+                self.assertRegex(message, "^OpenSSL can't be opened here: .*(file too short|undefined symbol: ASN1_INTEGER_set)")
+                self.assertRegex(hint, "^TCP needs it: .*libssl3.*Unix socket")
+                os.unlink(hidden)
+            self.assertEqual(service.json("history", "serial"), history)
 
 
 if __name__ == "__main__":

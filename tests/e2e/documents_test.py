@@ -118,10 +118,10 @@ class Documents(ServiceTest):
         build = os.path.dirname(BIN)
         libraries = [os.path.join(build, f"librcb_{name}.a")
                      for name in ("client_lib", "common_layout", "common_wire", "common_auth", "common_tls",
-                                  "common_cuts", "common_particles", "common_files", "common_base")]
+                                  "common_openssl", "common_cuts", "common_particles", "common_files", "common_base")]
         compiled = subprocess.run([compiler, "-std=c++20", "-I", ROOT, source, "-o", program,
                                    *filter(os.path.exists, libraries),
-                                   "-lssl", "-lcrypto", "-lpthread"],
+                                   "-lpthread"],
                                   capture_output=True, text=True, timeout=200)
         self.assertEqual(compiled.returncode, 0, compiled.stderr)
         return program

@@ -10,6 +10,7 @@ from machines import *
 from protocol_client import Client, described, encrypted, frame
 
 PORT = 7470
+SERIAL = os.path.join(BIN, "serial_c")
 N = 20000
 OTHER_CERTIFICATE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "another_certificate.pem")  # not the service's
 # What no network should see, whatever a client does: words of the protocol, and a scene's name.
@@ -344,6 +345,20 @@ class TlsTest(Refusals, MachinesTest):
         self.assertTrue(json.loads(self.status("a").stdout)["restarted"], "the service died in the middle")
         with self.client("b") as client:
             self.assertNotEqual(client.certificate, before)
+        self.down()
+
+    def test_the_c_library_finds_openssl(self):
+        """It does not link it (c_library_test.py)."""
+        self.machines(2)
+        self.up("-n", 2)
+        done = self.on("b", SERIAL, check=True)
+        self.assertIn("has reached the tolerance", done.stdout)
+        folder = os.path.join(self.hosts.shared, "without")
+        os.mkdir(folder)
+        write_text(os.path.join(folder, "libssl.so.3"), "")
+        done = self.on("b", SERIAL, LD_LIBRARY_PATH=folder)
+        self.assertEqual(done.returncode, 1)
+        self.assertIn("OpenSSL can't be opened", done.stderr)
         self.down()
 
     def test_without_tls_and_trust_nobody_else_may_connect(self):

@@ -19,8 +19,9 @@ ARROWS = {
     "common/partition/quality": ["common/cuts", "common/partition/balance"],
     "common/partition": ["common/partition/incremental"],
     "common/wire": ["common/base"],
-    "common/auth": ["common/base"],
-    "common/tls": ["common/base"],
+    "common/openssl": ["common/base"],
+    "common/auth": ["common/openssl"],
+    "common/tls": ["common/openssl"],
     "common/layout": ["common/cuts"],
     "common/io/files": ["common/base", "common/files"],
     "common/io/formats": ["common/io/files"],
@@ -64,7 +65,7 @@ ARROWS = {
 ROOMS = {
     r"<mpi\.h>": ["server/ranks", "client/solvers/mpi", "client/examples/cpp", "tests/support", "tests/bench", "tests/bench/peers"],
     r"<boost/asio": ["server/net/sockets", "client/lib/connect"],
-    r"<openssl/": ["common/auth", "common/tls", "tests/common/tls"],
+    r"<openssl/": ["common/openssl", "tests/common/tls"],
     r"<hdf5\.h>": ["common/hdf5", "tests/common/io"],
 }
 

@@ -16,6 +16,7 @@
 #include "common/base/text.hpp"
 #include "common/files/endpoint_lock.hpp"
 #include "common/files/paths.hpp"
+#include "common/openssl/openssl.hpp"
 #include "common/wire/frame.hpp"
 #include "common/wire/limits.hpp"
 
@@ -278,6 +279,7 @@ Result<wire::Json> Session::greet_once(Connection& link, const Endpoint& endpoin
   if (token.empty())
     return Status(Code::not_authorised, fmt::format("{} asks for a token and none was found", endpoint.text()),
                   "set RCBD_TOKEN_FILE to the file 'token' of the service's data directory");
+  if (Status opened = open_openssl(); !opened) return opened;  // for the proof
   const auth::Opening opening{listener, *nonce, auth::random_nonce(), number_, link.certificate()};
   return prove_and_say_hello(link, token, opening, endpoint.text(), deadline);
 }

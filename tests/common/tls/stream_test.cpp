@@ -205,7 +205,7 @@ Progress after_renewals(int times, std::size_t data) {
   const Pair pair;
   const auto service = std::move(Stream::accept(*identity, pair.service()).value());
   const ContextPointer context(SSL_CTX_new(TLS_client_method()));
-  const std::unique_ptr<SSL, Free<SSL, SSL_free>> client(SSL_new(context.get()));
+  const std::unique_ptr<SSL, Free<SSL_free>> client(SSL_new(context.get()));
   SSL_set_fd(client.get(), pair.client());
   for (int turn = 0; turn < 100 && (SSL_connect(client.get()) != 1 || !service->open()); ++turn) service->handshake();
   EXPECT_TRUE(service->open());
