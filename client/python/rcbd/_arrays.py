@@ -1,0 +1,132 @@
+"""Arrays of the caller's as the library takes them, and the library's memory as arrays, without copies where possible."""
+from __future__ import annotations
+
+import ctypes
+from typing import Any, Optional, Tuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._library import Error, Handle, Positions
+
+F8, F4 = np.dtype(np.float64), np.dtype(np.float32)
+I8, I4 = np.dtype(np.int64), np.dtype(np.int32)
+POSITIONS_SIZE = ctypes.sizeof(Positions)
+_Axes = ctypes.c_void_p * 3
+_EXACT = 2**53  # integers up to this are exact as float64
+
+
+def address(array: NDArray[Any]) -> int:
+    return int(array.__array_interface__["data"][0])
+
+
+def _plain(values: ArrayLike, what: str) -> NDArray[Any]:
+    if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):  # type: ignore[no-untyped-call]
+        raise TypeError(f"{what}: some are masked; leave these rows out")
+    return np.asarray(values)
+
+
+def _as_floats(values: ArrayLike, what: str) -> NDArray[Any]:
+    """float64 or float32 of this machine's byte order, exactly the values given."""
+    array = _plain(values, what)
+    if array.dtype.kind == "f" and array.itemsize <= 8:
+        return array.astype(F8 if array.itemsize == 8 else F4, copy=False)
+    if array.dtype.kind in "iu":
+        if array.size and array.itemsize == 8 and (int(array.max()) > _EXACT or int(array.min()) < -_EXACT):
+            raise TypeError(f"{what}: integers beyond 2^53, which float64 does not have; convert them yourself")
+        return array.astype(F8)
+    raise TypeError(f"{what} of type {array.dtype}; give float64, float32 or integers (array.astype(float))")
+
+
+def positions_array(xyz: ArrayLike) -> NDArray[Any]:
+    """(n, dims) of float64 or float32 that the library can read in place: the caller's own array wherever possible."""
+    array = xyz if type(xyz) is np.ndarray and xyz.dtype in (F8, F4) else _as_floats(xyz, "positions")
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2 or not 1 <= array.shape[1] <= 3:
+        raise ValueError(f"positions of shape {np.shape(xyz)}; give (n, dims), dims being 1 to 3")
+    stride = array.strides[0]
+    if array.shape[0] > 1 and (stride <= 0 or stride % array.itemsize):
+        array = np.ascontiguousarray(array)
+    return array if array.flags.aligned else array.copy()
+
+
+def positions_of(array: NDArray[Any]) -> Positions:
+    """The struct that says where the rows of a positions_array() are. The array is to be kept until the call is over."""
+    count, dims = array.shape
+    first, across = address(array), array.strides[1]
+    stride = array.strides[0] // array.itemsize if count > 1 else 1
+    axes = _Axes(first, first + across if dims > 1 else None, first + 2 * across if dims > 2 else None)
+    return Positions(POSITIONS_SIZE, count, stride, dims, array.itemsize == 4, axes)
+
+
+def ids_array(ids: ArrayLike, count: int) -> NDArray[np.int64]:
+    """(count) of int64, contiguous. Integers of other sizes are converted."""
+    array = _plain(ids, "ids")
+    if array.dtype.kind not in "iu" and array.size:
+        raise TypeError(f"ids of type {array.dtype}; give integers")
+    if array.dtype.kind == "u" and array.itemsize == 8 and array.size and int(array.max()) > np.iinfo(I8).max:
+        raise TypeError("ids beyond 2^63 - 1")
+    return _column(array, I8, count, "ids")
+
+
+def floats_array(values: ArrayLike, count: int, what: str) -> NDArray[np.float64]:
+    """(count) of float64, contiguous."""
+    return _column(_as_floats(values, what), F8, count, what)
+
+
+def _column(array: NDArray[Any], dtype: np.dtype[Any], count: int, what: str) -> NDArray[Any]:
+    if array.shape != (count,):
+        raise ValueError(f"{what} of shape {array.shape} for {count} rows; give one a row")
+    return np.require(array, dtype, ["C", "A"])
+
+
+def bounds_array(bounds: ArrayLike, dims: int, what: str) -> NDArray[np.float64]:
+    """(dims) of float64; one number stands for all axes."""
+    array = _as_floats(bounds, what)
+    if array.shape not in ((), (dims,)):
+        raise ValueError(f"{what} of shape {array.shape}; give a number, or one an axis ({dims})")
+    return np.ascontiguousarray(np.broadcast_to(array, (dims,)), F8)
+
+
+Periodic = Optional[Tuple[ArrayLike, ArrayLike]]
+
+
+def box_arrays(box: Periodic, dims: int) -> Optional[Tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    if box is None:
+        return None
+    try:
+        lo, hi = box
+    except (TypeError, ValueError):
+        raise ValueError("a periodic box is (lo, hi), each a number or one an axis") from None
+    return bounds_array(lo, dims, "lo"), bounds_array(hi, dims, "hi")
+
+
+class _Memory:
+    """Memory of a handle. Arrays made of it have this as base, which holds the handle."""
+
+    __slots__ = ("__array_interface__", "handle")
+
+    def __init__(self, interface: Any, handle: Handle) -> None:
+        self.__array_interface__ = interface
+        self.handle = handle
+
+
+def array_at(handle: Handle, pointer: Optional[int], shape: Tuple[int, ...], dtype: np.dtype[Any],
+             read_only: bool = True) -> NDArray[Any]:
+    """The memory as an array, which keeps the handle."""
+    if not pointer or 0 in shape:
+        return np.empty(shape, dtype)
+    interface = {"version": 3, "shape": shape, "typestr": dtype.str, "data": (pointer, read_only)}
+    return np.asarray(_Memory(interface, handle))
+
+
+def whole(number: Any, what: str, most: int = 2**31 - 1) -> int:
+    """An integer that the library's field can hold."""
+    try:
+        value = int(number.__index__())
+    except AttributeError:
+        raise TypeError(f"{what}: {number!r} is no integer") from None
+    if not -most - 1 <= value <= most:
+        raise Error("invalid_argument", f"{what}: {value} is out of range")
+    return value

@@ -1,0 +1,227 @@
+"""Steps: one that is being made, and what it told."""
+from __future__ import annotations
+
+import ctypes
+from ctypes import byref, c_int64, c_void_p
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Optional, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _arrays as arrays
+from . import _library as library
+from ._library import PENDING, Handle, StepOptions, check, error_of, lib
+from ._waiting import SLICE_SECONDS, log_notices
+
+_OPTIONS_SIZE = ctypes.sizeof(StepOptions)
+
+
+@dataclass(frozen=True)
+class Report:
+    """What the service tells of a step. Times are in seconds.
+
+    Attributes:
+        step: its number.
+        epoch: rises whenever there are new cuts.
+        n: particles, of all seats.
+        error_before: when the positions arrived; None in the first step.
+        error: the largest abs(load - target) / target, now.
+        imbalance: the largest load / target, now.
+        drifted: particles that moved across a cut since the last step; None: not known.
+        moved: particles whose part new cuts changed.
+        migrated: of these, those that changed the service's rank.
+        inserted, removed: particles.
+        strangers: particles that were outside their seat's parts.
+        weights_as_zero: particles whose weight is too far below the greatest one to count.
+        positions_step: the step whose positions the ranks hold; None: none.
+        bytes: that travelled.
+        scanned, searched, rounds, reductions: the work of the service.
+        seconds_receive, seconds_exchange, seconds_search, seconds_migrate, seconds_total: its time.
+        parts: how many parts there are after the step.
+        axes_flipped: cuts that changed their axis.
+        repartitioned: there are new cuts.
+        sent: positions travelled in this step.
+        reason: of the decision, in words.
+        way: "count", "shared-memory", "sockets" or "endpoint".
+        json: the whole report, as the service sent it.
+    """
+
+    step: int
+    epoch: int
+    n: int
+    error_before: Optional[float]
+    error: float
+    imbalance: float
+    drifted: Optional[int]
+    moved: int
+    migrated: int
+    inserted: int
+    removed: int
+    strangers: int
+    weights_as_zero: int
+    positions_step: Optional[int]
+    bytes: int
+    scanned: int
+    searched: int
+    rounds: int
+    reductions: int
+    seconds_receive: float
+    seconds_exchange: float
+    seconds_search: float
+    seconds_migrate: float
+    seconds_total: float
+    parts: int
+    axes_flipped: int
+    repartitioned: bool
+    sent: bool
+    reason: str
+    way: str
+    json: str
+
+
+def _report_of(handle: Handle) -> Report:
+    told = library.Report()
+    check(lib.rcbd_result_report(handle.pointer, byref(told)))
+    fields = {name: getattr(told, name) for name, *_ in told._fields_ if name != "size"}
+    for name in ("reason", "way", "json"):
+        fields[name] = fields[name].decode(errors="replace")
+    for name in ("drifted", "positions_step"):
+        fields[name] = None if fields[name] < 0 else fields[name]
+    for name in ("repartitioned", "sent"):
+        fields[name] = bool(fields[name])
+    fields["error_before"] = None if np.isnan(told.error_before) else told.error_before
+    return Report(**fields)
+
+
+class Leaving(NamedTuple):
+    """The rows that belong to other seats, and these.
+
+    Attributes:
+        rows: int64, ascending.
+        seats: int32, as many.
+    """
+
+    rows: NDArray[np.int64]
+    seats: NDArray[np.int32]
+
+
+class Step:
+    """The result of a step; Scene.step() makes it. Its arrays are read-only, are no copies, and stay valid."""
+
+    def __init__(self, handle: Handle) -> None:
+        self._handle = handle
+        self._report: Optional[Report] = None
+
+    def __repr__(self) -> str:
+        return f"<rcbd.Step {self.report.step}: {self.report.reason}>"
+
+    def _pairs(self, function: Any) -> Tuple[NDArray[np.int64], NDArray[np.int32]]:
+        rows, numbers, count = c_void_p(), c_void_p(), c_int64()
+        check(function(self._handle.pointer, byref(rows), byref(numbers), byref(count)))
+        return (arrays.array_at(self._handle, rows.value, (count.value,), arrays.I8),
+                arrays.array_at(self._handle, numbers.value, (count.value,), arrays.I4))
+
+    @property
+    def report(self) -> Report:
+        """What the service tells of the step."""
+        if self._report is None:
+            self._report = _report_of(self._handle)
+        return self._report
+
+    @property
+    def parts(self) -> NDArray[np.int32]:
+        """(n), int32: the part of each row, under the cuts after the step.
+
+        Raises:
+            Error: not_found (want_parts was False).
+        """
+        part, count = c_void_p(), c_int64()
+        check(lib.rcbd_result_parts(self._handle.pointer, byref(part), byref(count)))
+        return arrays.array_at(self._handle, part.value, (count.value,), arrays.I4)
+
+    @property
+    def changed(self) -> NDArray[np.int64]:
+        """int64, ascending: the rows whose part differs from what this scene told last; all rows where they are other
+        particles than then.
+
+        Raises:
+            Error: not_found (want_changed was False).
+        """
+        return self._pairs(lib.rcbd_result_changed)[0]
+
+    @property
+    def changed_parts(self) -> NDArray[np.int32]:
+        """int32: the parts of the rows `changed`."""
+        return self._pairs(lib.rcbd_result_changed)[1]
+
+    @property
+    def leaving(self) -> Leaving:
+        """The rows that belong to other seats, and these. Hand them over (rcbd.mpi.hand_over); what isn't handed over is
+        named again."""
+        return Leaving(*self._pairs(lib.rcbd_result_leaving))
+
+
+class Op:
+    """A step that is being made; Scene.step_begin() makes it. Letting go of one that isn't done cancels it."""
+
+    def __init__(self, handle: Handle, client: Handle) -> None:
+        self._handle = handle
+        self._client = client
+
+    def wait(self, seconds: Optional[float] = None) -> Optional[Step]:
+        """The result of the step; None: it isn't done after so many seconds. Without `seconds` waits until it is done,
+        which the step's deadline bounds. May be asked again, by any thread. Ctrl-C ends the wait, not the step.
+
+        Raises:
+            Error: what Scene.step() raises.
+        """
+        left = float("inf") if seconds is None else seconds
+        result = Handle()
+        while True:
+            slice_seconds = SLICE_SECONDS if left > SLICE_SECONDS else max(left, 0.0)
+            code = lib.rcbd_wait(self._handle.pointer, slice_seconds, result.out())
+            if code == 0:
+                return Step(result)
+            if code != PENDING:
+                raise error_of(code)
+            left -= slice_seconds
+            if not left > 0:
+                return None
+            log_notices(self._client)
+
+    @property
+    def done(self) -> bool:
+        """Whether wait() would return or raise at once."""
+        code: int = lib.rcbd_wait(self._handle.pointer, 0.0, None)
+        return code != PENDING
+
+    def cancel(self) -> None:
+        """Ends the step with Error interrupted, unless it is done before that is noticed. It may have been made all the
+        same. Of several seats the step then fails for all."""
+        lib.rcbd_cancel(self._handle.pointer)
+
+
+def step_options(ids: Optional[NDArray[Any]], weights: Optional[NDArray[Any]], step: Optional[int], inserted: int,
+                 removed: int, step_seconds: Optional[float], want_parts: bool, want_changed: bool, send: bool,
+                 threads: int, deadline_seconds: float) -> StepOptions:
+    whole = arrays.whole
+    if step is not None and whole(step, "step", 2**63 - 1) < 0:
+        raise library.Error("invalid_argument", f"step {step}", "steps count from 0")
+    if step_seconds is not None and not step_seconds >= 0:
+        raise library.Error("invalid_argument", f"a step of {step_seconds} seconds", "give a finite number >= 0, or None")
+    return StepOptions(_OPTIONS_SIZE, -1 if step is None else step, None if ids is None else arrays.address(ids),
+                       None if weights is None else arrays.address(weights), whole(inserted, "inserted", 2**63 - 1),
+                       whole(removed, "removed", 2**63 - 1), -1.0 if step_seconds is None else step_seconds,
+                       bool(want_parts), bool(want_changed), bool(send), whole(threads, "threads"), deadline_seconds)
+
+
+def begin(scene: Handle, client: Handle, rows: NDArray[Any], options: StepOptions, keep: Any) -> Op:
+    handle = Handle(keep)  # until it is released, which waits for the step
+    try:
+        check(lib.rcbd_step_begin(scene.pointer, byref(arrays.positions_of(rows)), byref(options), handle.out()))
+        return Op(handle, client)
+    except BaseException:  # KeyboardInterrupt, which may come after the call
+        handle.release()
+        raise
+
