@@ -1,0 +1,2 @@
+program misuse
+end program
