@@ -152,10 +152,10 @@ function(rcb_c_library)
   add_library(rcbd::rcbd ALIAS rcbd_library)
 endfunction()
 
-# What programs of users, which know rcbd by librcbd.so alone, are compiled with.
+# What programs of users, which know rcbd by librcbd.so alone, are compiled with. Further arguments: what they link.
 function(rcb_user_program name source)
   add_executable(${name} "${PROJECT_SOURCE_DIR}/${source}")
-  target_compile_options(${name} PRIVATE -Wall -Wextra -pedantic)
+  target_compile_options(${name} PRIVATE -Wall -Wextra -pedantic -ffp-contract=off)
   if(RCB_WERROR)
     target_compile_options(${name} PRIVATE -Werror)
   endif()
@@ -163,17 +163,17 @@ function(rcb_user_program name source)
     target_compile_options(${name} PRIVATE -fsanitize=${RCB_SANITIZE})
     target_link_options(${name} PRIVATE -fsanitize=${RCB_SANITIZE})
   endif()
-  target_link_libraries(${name} PRIVATE rcbd::rcbd Threads::Threads m)
+  target_link_libraries(${name} PRIVATE rcbd::rcbd ${ARGN} Threads::Threads m)
 endfunction()
 
 # rcb_c_program(serial_c client/examples/c/serial.c): one in C99.
 function(rcb_c_program name source)
-  rcb_user_program(${name} ${source})
+  rcb_user_program(${name} ${source} ${ARGN})
   set_target_properties(${name} PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON C_EXTENSIONS OFF)
 endfunction()
 
 # rcb_cpp14_program(serial_cpp client/examples/cpp/serial.cpp): one in C++14.
 function(rcb_cpp14_program name source)
-  rcb_user_program(${name} ${source})
+  rcb_user_program(${name} ${source} ${ARGN})
   set_target_properties(${name} PROPERTIES CXX_STANDARD 14)
 endfunction()

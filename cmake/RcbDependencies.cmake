@@ -29,7 +29,7 @@ if(NOT RCB_SERVICE)
 endif()
 
 # The service's and its programs'.
-find_package(MPI REQUIRED COMPONENTS CXX)
+find_package(MPI REQUIRED COMPONENTS C CXX)
 find_package(spdlog REQUIRED)
 find_package(CLI11 REQUIRED)
 find_package(HDF5 REQUIRED COMPONENTS C)
