@@ -128,7 +128,7 @@ class Cuts:
                 raise ValueError(f"last of shape {hint.shape} for {len(rows)} rows; give one a row")
             options.last_part = arrays.address(hint)
         part = np.empty(len(rows), arrays.I4)
-        check(lib.rcbd_cuts_owner(self._handle.pointer, byref(arrays.positions_of(rows)), byref(options),
+        check(lib.rcbd_cuts_owner(self._handle.pointer, arrays.positions_of(rows), byref(options),
                                   arrays.address(part)))
         return part
 
@@ -161,7 +161,7 @@ class Cuts:
             width = 0.0
         near, box = _near(width, periodic, norm, self.dims)  # type: ignore[arg-type]
         lists = Handle()
-        check(lib.rcbd_cuts_halo(self._handle.pointer, byref(arrays.positions_of(rows)), byref(near), byref(options),
+        check(lib.rcbd_cuts_halo(self._handle.pointer, arrays.positions_of(rows), byref(near), byref(options),
                                  lists.out()))
         return Halo(lists, self.dims, box)
 
@@ -247,7 +247,7 @@ def wrap(xyz: NDArray[Any], lo: ArrayLike, hi: ArrayLike) -> NDArray[Any]:
         raise ValueError("wrap() works in place, and the array is read-only")
     rows = arrays.positions_array(xyz)
     first, last = (arrays.bounds_array(bound, rows.shape[1], what) for bound, what in ((lo, "lo"), (hi, "hi")))
-    check(lib.rcbd_wrap(byref(arrays.positions_of(rows)), arrays.address(first), arrays.address(last)))
+    check(lib.rcbd_wrap(arrays.positions_of(rows), arrays.address(first), arrays.address(last)))
     if not np.may_share_memory(rows, xyz):  # it was one that the library can't write to
         xyz[...] = rows.reshape(xyz.shape)
     return xyz
