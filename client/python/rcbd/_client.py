@@ -114,13 +114,13 @@ class Client(_Closing):
         if comm is not None:
             from . import mpi
 
-            options = dict(parts=parts, tolerance=tolerance, replace=replace, dims=dims, method=method, policy=policy,
-                           positions=positions, part_sizes=part_sizes, axis_hysteresis=axis_hysteresis,
-                           cut_tolerance=cut_tolerance, threads=threads, deadline_seconds=deadline_seconds)
-            return mpi.open_scene(comm, self, name, **options)
+            return mpi.scene_open(comm, self, name, parts, tolerance=tolerance, replace=replace, dims=dims, method=method,
+                                  policy=policy, positions=positions, part_sizes=part_sizes,
+                                  axis_hysteresis=axis_hysteresis, cut_tolerance=cut_tolerance, threads=threads,
+                                  deadline_seconds=deadline_seconds)
         parts = arrays.whole(parts, "parts")
         sizes = None if part_sizes is None else arrays.floats_array(part_sizes, max(parts, 0), "part_sizes")
-        options_ = SceneOptions(
+        options = SceneOptions(
             parts=parts, dims=arrays.whole(dims, "dims"), method=_text(method, "method"), policy=_text(policy, "policy"),
             positions=_text(positions, "positions"), part_sizes=None if sizes is None else arrays.address(sizes),
             tolerance=tolerance, axis_hysteresis=axis_hysteresis, cut_tolerance=cut_tolerance, replace=bool(replace),
@@ -128,7 +128,7 @@ class Client(_Closing):
             deadline_seconds=deadline_seconds)
         called = _text(name, "name")
         handle = Handle()
-        interruptible(lambda: check(lib.rcbd_scene_open(self._handle.pointer, called, byref(options_), handle.out())),
+        interruptible(lambda: check(lib.rcbd_scene_open(self._handle.pointer, called, byref(options), handle.out())),
                        self._handle)
         return Scene(handle, self._handle, name)
 

@@ -113,7 +113,7 @@ class Cuts:
 
         Args:
             xyz: (n, dims), as for Scene.step().
-            ids: (n), which decide between particles that are on a cut; None: the row is the id.
+            ids: (n), which decide between particles that are on a cut: give them if steps have them; None: the row is the id.
             last: (n), int32, a hint that changes no answer: the parts of an earlier time make it quicker.
             threads: at most so many.
 
@@ -132,8 +132,8 @@ class Cuts:
                                   arrays.address(part)))
         return part
 
-    def halo(self, xyz: ArrayLike, width: Union[float, ArrayLike], periodic: Periodic = None, *, norm: str = "max",
-             ids: Optional[ArrayLike] = None, seats: int = 0, threads: int = 1,
+    def halo(self, xyz: ArrayLike, width: Union[float, ArrayLike], periodic: Periodic = None,
+             ids: Optional[ArrayLike] = None, *, norm: str = "max", seats: int = 0, threads: int = 1,
              entries_max: int = _ENTRIES_MOST) -> Halo:
         """Which of these particles, each in the region of its part, the other parts (or seats) need. A particle is needed
         where the part's region is within the width of it or of an image; its own part needs moved images alone.
@@ -142,8 +142,8 @@ class Cuts:
             xyz: (n, dims), as for Scene.step().
             width: in the unit of the positions; or (n), one for each row.
             periodic: (lo, hi), the periodic box, each a number or one an axis; an axis with infinite bounds is not periodic.
+            ids: (n), which decide between particles that are on a cut: give them if steps have them; None: the row is the id.
             norm: "max" or "euclid".
-            ids: (n), which decide between particles that are on a cut; None: the row is the id.
             seats: lists for so many seats; 0: for the parts.
             threads: at most so many.
             entries_max: more entries are an error.

@@ -9,7 +9,7 @@ from ctypes import POINTER, c_char_p, c_double, c_int, c_int32, c_int64, c_size_
 from pathlib import Path
 from typing import Any, Iterator, Tuple, Type
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 NAME = "librcbd.so.1"
 
 

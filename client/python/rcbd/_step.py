@@ -120,10 +120,15 @@ class Leaving(NamedTuple):
 
 
 class Step:
-    """The result of a step; Scene.step() makes it. Its arrays are read-only, are no copies, and stay valid."""
+    """The result of a step; Scene.step() makes it. Its arrays are read-only, are no copies, and stay valid.
 
-    def __init__(self, handle: Handle) -> None:
+    Attributes:
+        rows: how many positions were given.
+    """
+
+    def __init__(self, handle: Handle, rows: int) -> None:
         self._handle = handle
+        self.rows = rows
         self._report: Optional[Report] = None
 
     def __repr__(self) -> str:
@@ -178,9 +183,10 @@ class Step:
 class Op:
     """A step that is being made; Scene.step_begin() makes it. Letting go of one that isn't done cancels it."""
 
-    def __init__(self, handle: Handle, client: Handle) -> None:
+    def __init__(self, handle: Handle, client: Handle, rows: int) -> None:
         self._handle = handle
         self._client = client
+        self._rows = rows
 
     def wait(self, seconds: Optional[float] = None) -> Optional[Step]:
         """The result of the step; None: it isn't done after so many seconds. Without `seconds` waits until it is done,
@@ -195,7 +201,7 @@ class Op:
             slice_seconds = SLICE_SECONDS if left > SLICE_SECONDS else max(left, 0.0)
             code = lib.rcbd_wait(self._handle.pointer, slice_seconds, result.out())
             if code == 0:
-                return Step(result)
+                return Step(result, self._rows)
             if code != PENDING:
                 raise error_of(code)
             left -= slice_seconds
@@ -246,7 +252,7 @@ def begin(scene: Handle, client: Handle, ask: Ask) -> Op:
     handle = Handle(ask)  # until it is released, which waits for the step
     try:
         check(lib.rcbd_step_begin(scene.pointer, ask.positions, ask.options, handle.out()))
-        return Op(handle, client)
+        return Op(handle, client, len(ask.rows))
     except BaseException:  # KeyboardInterrupt, which may come after the call
         handle.release()
         raise
@@ -257,7 +263,7 @@ def make(scene: Handle, client: Handle, ask: Ask) -> Step:
     code = watched(client, lib.rcbd_step, scene.pointer, ask.positions, ask.options, result.out())
     if code is not None:
         check(code)
-        return Step(result)
+        return Step(result, len(ask.rows))
     op = begin(scene, client, ask)
     try:
         made = op.wait()
