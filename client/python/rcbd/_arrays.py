@@ -7,17 +7,18 @@ from typing import Any, Optional, Tuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._library import Error, Handle, Positions
+from ._library import Error, Handle, Positions, packing
 
 F8, F4 = np.dtype(np.float64), np.dtype(np.float32)
 I8, I4 = np.dtype(np.int64), np.dtype(np.int32)
-POSITIONS_SIZE = ctypes.sizeof(Positions)
-_Axes = ctypes.c_void_p * 3
+_pack_positions = packing(Positions).pack
+_SIZE = ctypes.sizeof(Positions)
 _EXACT = 2**53  # integers up to this are exact as float64
 
 
 def address(array: NDArray[Any]) -> int:
-    return int(array.__array_interface__["data"][0])
+    where: int = array.__array_interface__["data"][0]
+    return where
 
 
 def _plain(values: ArrayLike, what: str) -> NDArray[Any]:
@@ -51,13 +52,13 @@ def positions_array(xyz: ArrayLike) -> NDArray[Any]:
     return array if array.flags.aligned else array.copy()
 
 
-def positions_of(array: NDArray[Any]) -> Positions:
+def positions_of(array: NDArray[Any]) -> bytes:
     """The struct that says where the rows of a positions_array() are. The array is to be kept until the call is over."""
     count, dims = array.shape
-    first, across = address(array), array.strides[1]
-    stride = array.strides[0] // array.itemsize if count > 1 else 1
-    axes = _Axes(first, first + across if dims > 1 else None, first + 2 * across if dims > 2 else None)
-    return Positions(POSITIONS_SIZE, count, stride, dims, array.itemsize == 4, axes)
+    stride, across = array.strides
+    first, size = address(array), array.itemsize
+    return _pack_positions(_SIZE, count, stride // size if count > 1 else 1, dims, size == 4, first,
+                           first + across if dims > 1 else 0, first + 2 * across if dims > 2 else 0)
 
 
 def ids_array(ids: ArrayLike, count: int) -> NDArray[np.int64]:

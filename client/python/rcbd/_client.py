@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from . import _arrays as arrays
 from ._cuts import Cuts
 from ._library import ConnectOptions, Error, Handle, Positions, SceneOptions, check, lib
-from ._step import Op, Step, begin, step_options
+from ._step import Ask, Op, Step, begin, make
 from ._waiting import interruptible, log_notices
 
 if TYPE_CHECKING:
@@ -114,13 +114,13 @@ class Client(_Closing):
         if comm is not None:
             from . import mpi
 
-            options = dict(parts=parts, tolerance=tolerance, replace=replace, dims=dims, method=method, policy=policy,
-                           positions=positions, part_sizes=part_sizes, axis_hysteresis=axis_hysteresis,
-                           cut_tolerance=cut_tolerance, threads=threads, deadline_seconds=deadline_seconds)
-            return mpi.open_scene(comm, self, name, **options)
+            return mpi.scene_open(comm, self, name, parts, tolerance=tolerance, replace=replace, dims=dims, method=method,
+                                  policy=policy, positions=positions, part_sizes=part_sizes,
+                                  axis_hysteresis=axis_hysteresis, cut_tolerance=cut_tolerance, threads=threads,
+                                  deadline_seconds=deadline_seconds)
         parts = arrays.whole(parts, "parts")
         sizes = None if part_sizes is None else arrays.floats_array(part_sizes, max(parts, 0), "part_sizes")
-        options_ = SceneOptions(
+        options = SceneOptions(
             parts=parts, dims=arrays.whole(dims, "dims"), method=_text(method, "method"), policy=_text(policy, "policy"),
             positions=_text(positions, "positions"), part_sizes=None if sizes is None else arrays.address(sizes),
             tolerance=tolerance, axis_hysteresis=axis_hysteresis, cut_tolerance=cut_tolerance, replace=bool(replace),
@@ -128,7 +128,7 @@ class Client(_Closing):
             deadline_seconds=deadline_seconds)
         called = _text(name, "name")
         handle = Handle()
-        interruptible(lambda: check(lib.rcbd_scene_open(self._handle.pointer, called, byref(options_), handle.out())),
+        interruptible(lambda: check(lib.rcbd_scene_open(self._handle.pointer, called, byref(options), handle.out())),
                        self._handle)
         return Scene(handle, self._handle, name)
 
@@ -183,7 +183,7 @@ class Scene(_Closing):
         handle = Handle()
         interruptible(lambda: check(lib.rcbd_arrays_new(self._handle.pointer, count, 0, kind == arrays.F4, handle.out())),
                        self._client)
-        where = Positions(arrays.POSITIONS_SIZE)
+        where = Positions()
         check(lib.rcbd_arrays_positions(handle.pointer, byref(where)))
         return arrays.array_at(handle, where.axis[0], (count, where.dims), kind, read_only=False)
 
@@ -220,16 +220,10 @@ class Scene(_Closing):
                 deadline_exceeded, unavailable, interrupted, aborted.
             TypeError, ValueError: an array of the wrong type or shape.
         """
-        op = self.step_begin(xyz, ids, weights, step=step, inserted=inserted, removed=removed, step_seconds=step_seconds,
-                             want_parts=want_parts, want_changed=want_changed, send=send, threads=threads,
-                             deadline_seconds=deadline_seconds)
+        ask = self._ask(xyz, ids, weights, step, inserted, removed, step_seconds, want_parts, want_changed, send, threads,
+                        deadline_seconds)
         try:
-            made = op.wait()
-            assert made is not None
-            return made
-        except BaseException:  # KeyboardInterrupt, too: the step is cancelled, and that waited for
-            op._handle.release()
-            raise
+            return make(self._handle, self._client, ask)
         finally:
             log_notices(self._client)
 
@@ -243,15 +237,17 @@ class Scene(_Closing):
         Raises:
             Error: invalid_argument, busy (another step of the scene is not done). Others are raised by Op.wait().
         """
-        rows = arrays.positions_array(xyz)
-        count = len(rows)
-        id_column = None if ids is None else arrays.ids_array(ids, count)
-        weight_column = None if weights is None else arrays.floats_array(weights, count, "weights")
-        options = step_options(id_column, weight_column, step, inserted, removed, step_seconds, want_parts, want_changed,
-                               send, threads, deadline_seconds)
+        return begin(self._handle, self._client,
+                     self._ask(xyz, ids, weights, step, inserted, removed, step_seconds, want_parts, want_changed, send,
+                               threads, deadline_seconds))
+
+    def _ask(self, xyz: ArrayLike, ids: Optional[ArrayLike], weights: Optional[ArrayLike],
+             step: Optional[int], inserted: int, removed: int, step_seconds: Optional[float], want_parts: bool,
+             want_changed: bool, *options: Any) -> Ask:
+        ask = Ask(xyz, ids, weights, step, inserted, removed, step_seconds, want_parts, want_changed, *options)
         # With these the library has the cuts after each step.
         self._cuts_known = bool(want_parts or want_changed)
-        return begin(self._handle, self._client, rows, options, (rows, id_column, weight_column))
+        return ask
 
     @property
     def last_step(self) -> Optional[int]:

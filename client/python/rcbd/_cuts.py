@@ -113,7 +113,7 @@ class Cuts:
 
         Args:
             xyz: (n, dims), as for Scene.step().
-            ids: (n), which decide between particles that are on a cut; None: the row is the id.
+            ids: (n), which decide between particles that are on a cut: give them if steps have them; None: the row is the id.
             last: (n), int32, a hint that changes no answer: the parts of an earlier time make it quicker.
             threads: at most so many.
 
@@ -128,12 +128,12 @@ class Cuts:
                 raise ValueError(f"last of shape {hint.shape} for {len(rows)} rows; give one a row")
             options.last_part = arrays.address(hint)
         part = np.empty(len(rows), arrays.I4)
-        check(lib.rcbd_cuts_owner(self._handle.pointer, byref(arrays.positions_of(rows)), byref(options),
+        check(lib.rcbd_cuts_owner(self._handle.pointer, arrays.positions_of(rows), byref(options),
                                   arrays.address(part)))
         return part
 
-    def halo(self, xyz: ArrayLike, width: Union[float, ArrayLike], periodic: Periodic = None, *, norm: str = "max",
-             ids: Optional[ArrayLike] = None, seats: int = 0, threads: int = 1,
+    def halo(self, xyz: ArrayLike, width: Union[float, ArrayLike], periodic: Periodic = None,
+             ids: Optional[ArrayLike] = None, *, norm: str = "max", seats: int = 0, threads: int = 1,
              entries_max: int = _ENTRIES_MOST) -> Halo:
         """Which of these particles, each in the region of its part, the other parts (or seats) need. A particle is needed
         where the part's region is within the width of it or of an image; its own part needs moved images alone.
@@ -142,8 +142,8 @@ class Cuts:
             xyz: (n, dims), as for Scene.step().
             width: in the unit of the positions; or (n), one for each row.
             periodic: (lo, hi), the periodic box, each a number or one an axis; an axis with infinite bounds is not periodic.
+            ids: (n), which decide between particles that are on a cut: give them if steps have them; None: the row is the id.
             norm: "max" or "euclid".
-            ids: (n), which decide between particles that are on a cut; None: the row is the id.
             seats: lists for so many seats; 0: for the parts.
             threads: at most so many.
             entries_max: more entries are an error.
@@ -161,7 +161,7 @@ class Cuts:
             width = 0.0
         near, box = _near(width, periodic, norm, self.dims)  # type: ignore[arg-type]
         lists = Handle()
-        check(lib.rcbd_cuts_halo(self._handle.pointer, byref(arrays.positions_of(rows)), byref(near), byref(options),
+        check(lib.rcbd_cuts_halo(self._handle.pointer, arrays.positions_of(rows), byref(near), byref(options),
                                  lists.out()))
         return Halo(lists, self.dims, box)
 
@@ -247,7 +247,7 @@ def wrap(xyz: NDArray[Any], lo: ArrayLike, hi: ArrayLike) -> NDArray[Any]:
         raise ValueError("wrap() works in place, and the array is read-only")
     rows = arrays.positions_array(xyz)
     first, last = (arrays.bounds_array(bound, rows.shape[1], what) for bound, what in ((lo, "lo"), (hi, "hi")))
-    check(lib.rcbd_wrap(byref(arrays.positions_of(rows)), arrays.address(first), arrays.address(last)))
+    check(lib.rcbd_wrap(arrays.positions_of(rows), arrays.address(first), arrays.address(last)))
     if not np.may_share_memory(rows, xyz):  # it was one that the library can't write to
         xyz[...] = rows.reshape(xyz.shape)
     return xyz

@@ -3,12 +3,13 @@ from __future__ import annotations
 
 import ctypes
 import os
+import struct
 import sys
 from ctypes import POINTER, c_char_p, c_double, c_int, c_int32, c_int64, c_size_t, c_uint64, c_void_p
 from pathlib import Path
-from typing import Any, Iterator, Tuple
+from typing import Any, Iterator, Tuple, Type
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 NAME = "librcbd.so.1"
 
 
@@ -38,8 +39,6 @@ class Error(Exception):
 class Struct(ctypes.Structure):
     """A struct that begins with its size."""
 
-    size: int
-
     def __init__(self, **fields: Any) -> None:
         super().__init__(size=ctypes.sizeof(self), **fields)
 
@@ -56,12 +55,12 @@ class SceneOptions(Struct):
                 ("seat", c_int32), ("seats", c_int32), ("deadline_seconds", c_double)]
 
 
-class Positions(ctypes.Structure):  # made for each call: without the size in a keyword that is quicker
+class Positions(Struct):
     _fields_ = [("size", c_size_t), ("count", c_int64), ("stride", c_int64), ("dims", c_int32), ("single", c_int32),
                 ("axis", c_void_p * 3)]
 
 
-class StepOptions(ctypes.Structure):  # likewise
+class StepOptions(Struct):
     _fields_ = [("size", c_size_t), ("step", c_int64), ("ids", c_void_p), ("weights", c_void_p), ("inserted", c_int64),
                 ("removed", c_int64), ("step_seconds", c_double), ("want_parts", c_int32), ("want_changed", c_int32),
                 ("send", c_int32), ("threads", c_int32), ("deadline_seconds", c_double)]
@@ -97,9 +96,19 @@ class ListsView(Struct):
                 ("shift", c_void_p)]
 
 
+_CODES = {c_size_t: "N", c_int64: "q", c_int32: "i", c_double: "d", c_void_p: "P", c_char_p: "P", c_void_p * 3: "3P"}
+
+
+def packing(kind: Type[Struct]) -> struct.Struct:
+    """The same struct for Python's module struct, which makes and reads the values of all fields at once: for what is made
+    in each step. A ctypes.Structure takes three times as long."""
+    return struct.Struct("@" + "".join(_CODES[field[1]] for field in kind._fields_))
+
+
 # ---- the library ----
 
 _OUT = POINTER(c_void_p)  # where a handle or an array is given
+_PACKED = c_char_p  # a packed struct, as bytes
 _SIGNATURES = {
     "rcbd_version": (c_int, []),
     "rcbd_code_name": (c_char_p, [c_int]),
@@ -115,8 +124,9 @@ _SIGNATURES = {
     "rcbd_last_step": (c_int, [c_void_p, POINTER(c_int64)]),
     "rcbd_arrays_new": (c_int, [c_void_p, c_int64, c_int, c_int32, _OUT]),
     "rcbd_arrays_positions": (c_int, [c_void_p, POINTER(Positions)]),
-    "rcbd_wrap": (c_int, [POINTER(Positions), c_void_p, c_void_p]),
-    "rcbd_step_begin": (c_int, [c_void_p, POINTER(Positions), POINTER(StepOptions), _OUT]),
+    "rcbd_wrap": (c_int, [_PACKED, c_void_p, c_void_p]),
+    "rcbd_step": (c_int, [c_void_p, _PACKED, _PACKED, _OUT]),
+    "rcbd_step_begin": (c_int, [c_void_p, _PACKED, _PACKED, _OUT]),
     "rcbd_wait": (c_int, [c_void_p, c_double, _OUT]),
     "rcbd_cancel": (None, [c_void_p]),
     "rcbd_result_report": (c_int, [c_void_p, POINTER(Report)]),
@@ -126,8 +136,8 @@ _SIGNATURES = {
     "rcbd_scene_cuts": (c_int, [c_void_p, _OUT]),
     "rcbd_cuts_describe": (c_int, [c_void_p, POINTER(CutsInfo)]),
     "rcbd_cuts_regions": (c_int, [c_void_p, c_void_p, c_void_p]),
-    "rcbd_cuts_owner": (c_int, [c_void_p, POINTER(Positions), POINTER(AskOptions), c_void_p]),
-    "rcbd_cuts_halo": (c_int, [c_void_p, POINTER(Positions), POINTER(Near), POINTER(AskOptions), _OUT]),
+    "rcbd_cuts_owner": (c_int, [c_void_p, _PACKED, POINTER(AskOptions), c_void_p]),
+    "rcbd_cuts_halo": (c_int, [c_void_p, _PACKED, POINTER(Near), POINTER(AskOptions), _OUT]),
     "rcbd_cuts_neighbours": (c_int, [c_void_p, c_int32, POINTER(Near), _OUT]),
     "rcbd_cuts_box": (c_int, [c_void_p, c_void_p, c_void_p, POINTER(Near), _OUT]),
     "rcbd_cuts_narrowest": (c_int, [c_void_p, POINTER(Near), POINTER(c_int32), POINTER(c_int32), POINTER(c_double)]),
@@ -151,9 +161,9 @@ def _candidates(package: Path) -> Iterator[Path]:
 
 
 def _load() -> Tuple[ctypes.CDLL, str]:
-    named = os.environ.get("RCBD_LIBRARY")
+    named = os.environ.get("RCBD_LIBRARY", "")
     package = Path(__file__).resolve().parent
-    path: str = named or next((str(path) for path in _candidates(package) if path.exists()), NAME)
+    path = named or next((str(path) for path in _candidates(package) if path.exists()), NAME)
     try:
         return ctypes.CDLL(path), path
     except OSError as fault:

@@ -2,19 +2,24 @@
 from __future__ import annotations
 
 import ctypes
+import struct
 from ctypes import byref, c_int64, c_void_p
 from dataclasses import dataclass
+from dataclasses import fields as dataclass_fields
+from math import isnan
 from typing import Any, NamedTuple, Optional, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from . import _arrays as arrays
 from . import _library as library
-from ._library import PENDING, Handle, StepOptions, check, error_of, lib
-from ._waiting import SLICE_SECONDS, log_notices
+from ._library import PENDING, Error, Handle, StepOptions, check, error_of, lib, packing
+from ._waiting import SLICE_SECONDS, log_notices, watched
 
+_pack_options = packing(StepOptions).pack
 _OPTIONS_SIZE = ctypes.sizeof(StepOptions)
+_unpack_report = packing(library.Report).unpack
 
 
 @dataclass(frozen=True)
@@ -80,18 +85,26 @@ class Report:
     json: str
 
 
+_FIELDS = ("size", *(field.name for field in dataclass_fields(Report)))
+
+
 def _report_of(handle: Handle) -> Report:
     told = library.Report()
     check(lib.rcbd_result_report(handle.pointer, byref(told)))
-    fields = {name: getattr(told, name) for name, *_ in told._fields_ if name != "size"}
+    fields = dict(zip(_FIELDS, _unpack_report(told)))
+    del fields["size"]
     for name in ("reason", "way", "json"):
-        fields[name] = fields[name].decode(errors="replace")
+        fields[name] = ctypes.string_at(fields[name]).decode(errors="replace")
     for name in ("drifted", "positions_step"):
-        fields[name] = None if fields[name] < 0 else fields[name]
-    for name in ("repartitioned", "sent"):
-        fields[name] = bool(fields[name])
-    fields["error_before"] = None if np.isnan(told.error_before) else told.error_before
-    return Report(**fields)
+        if fields[name] < 0:
+            fields[name] = None
+    if isnan(fields["error_before"]):
+        fields["error_before"] = None
+    fields["repartitioned"] = fields["repartitioned"] != 0
+    fields["sent"] = fields["sent"] != 0
+    report = Report.__new__(Report)
+    report.__dict__.update(fields)  # __init__ would take longer than all the rest
+    return report
 
 
 class Leaving(NamedTuple):
@@ -107,10 +120,15 @@ class Leaving(NamedTuple):
 
 
 class Step:
-    """The result of a step; Scene.step() makes it. Its arrays are read-only, are no copies, and stay valid."""
+    """The result of a step; Scene.step() makes it. Its arrays are read-only, are no copies, and stay valid.
 
-    def __init__(self, handle: Handle) -> None:
+    Attributes:
+        rows: how many positions were given.
+    """
+
+    def __init__(self, handle: Handle, rows: int) -> None:
         self._handle = handle
+        self.rows = rows
         self._report: Optional[Report] = None
 
     def __repr__(self) -> str:
@@ -165,9 +183,10 @@ class Step:
 class Op:
     """A step that is being made; Scene.step_begin() makes it. Letting go of one that isn't done cancels it."""
 
-    def __init__(self, handle: Handle, client: Handle) -> None:
+    def __init__(self, handle: Handle, client: Handle, rows: int) -> None:
         self._handle = handle
         self._client = client
+        self._rows = rows
 
     def wait(self, seconds: Optional[float] = None) -> Optional[Step]:
         """The result of the step; None: it isn't done after so many seconds. Without `seconds` waits until it is done,
@@ -182,7 +201,7 @@ class Op:
             slice_seconds = SLICE_SECONDS if left > SLICE_SECONDS else max(left, 0.0)
             code = lib.rcbd_wait(self._handle.pointer, slice_seconds, result.out())
             if code == 0:
-                return Step(result)
+                return Step(result, self._rows)
             if code != PENDING:
                 raise error_of(code)
             left -= slice_seconds
@@ -202,26 +221,54 @@ class Op:
         lib.rcbd_cancel(self._handle.pointer)
 
 
-def step_options(ids: Optional[NDArray[Any]], weights: Optional[NDArray[Any]], step: Optional[int], inserted: int,
-                 removed: int, step_seconds: Optional[float], want_parts: bool, want_changed: bool, send: bool,
-                 threads: int, deadline_seconds: float) -> StepOptions:
-    whole = arrays.whole
-    if step is not None and whole(step, "step", 2**63 - 1) < 0:
-        raise library.Error("invalid_argument", f"step {step}", "steps count from 0")
-    if step_seconds is not None and not step_seconds >= 0:
-        raise library.Error("invalid_argument", f"a step of {step_seconds} seconds", "give a finite number >= 0, or None")
-    return StepOptions(_OPTIONS_SIZE, -1 if step is None else step, None if ids is None else arrays.address(ids),
-                       None if weights is None else arrays.address(weights), whole(inserted, "inserted", 2**63 - 1),
-                       whole(removed, "removed", 2**63 - 1), -1.0 if step_seconds is None else step_seconds,
-                       bool(want_parts), bool(want_changed), bool(send), whole(threads, "threads"), deadline_seconds)
+class Ask:
+    """What a step is asked, for the library, and the arrays to which that points."""
+
+    __slots__ = ("rows", "ids", "weights", "positions", "options")
+
+    def __init__(self, xyz: ArrayLike, ids: Optional[ArrayLike], weights: Optional[ArrayLike], step: Optional[int],
+                 inserted: int, removed: int, step_seconds: Optional[float], want_parts: bool, want_changed: bool,
+                 send: bool, threads: int, deadline_seconds: float) -> None:
+        if step is not None and step < 0:
+            raise Error("invalid_argument", f"step {step}", "steps count from 0")
+        if step_seconds is not None and not step_seconds >= 0:
+            raise Error("invalid_argument", f"a step of {step_seconds} seconds", "give a finite number >= 0, or None")
+        self.rows = arrays.positions_array(xyz)
+        count = len(self.rows)
+        self.ids = None if ids is None else arrays.ids_array(ids, count)
+        self.weights = None if weights is None else arrays.floats_array(weights, count, "weights")
+        self.positions = arrays.positions_of(self.rows)
+        try:
+            self.options = _pack_options(
+                _OPTIONS_SIZE, -1 if step is None else step, 0 if self.ids is None else arrays.address(self.ids),
+                0 if self.weights is None else arrays.address(self.weights), inserted, removed,
+                -1.0 if step_seconds is None else step_seconds, True if want_parts else False,
+                True if want_changed else False, True if send else False, threads, deadline_seconds)
+        except struct.error as fault:
+            raise Error("invalid_argument", f"an option of the step is no number, or too large: {fault}") from None
 
 
-def begin(scene: Handle, client: Handle, rows: NDArray[Any], options: StepOptions, keep: Any) -> Op:
-    handle = Handle(keep)  # until it is released, which waits for the step
+def begin(scene: Handle, client: Handle, ask: Ask) -> Op:
+    handle = Handle(ask)  # until it is released, which waits for the step
     try:
-        check(lib.rcbd_step_begin(scene.pointer, byref(arrays.positions_of(rows)), byref(options), handle.out()))
-        return Op(handle, client)
+        check(lib.rcbd_step_begin(scene.pointer, ask.positions, ask.options, handle.out()))
+        return Op(handle, client, len(ask.rows))
     except BaseException:  # KeyboardInterrupt, which may come after the call
         handle.release()
         raise
 
+
+def make(scene: Handle, client: Handle, ask: Ask) -> Step:
+    result = Handle()
+    code = watched(client, lib.rcbd_step, scene.pointer, ask.positions, ask.options, result.out())
+    if code is not None:
+        check(code)
+        return Step(result, len(ask.rows))
+    op = begin(scene, client, ask)
+    try:
+        made = op.wait()
+        assert made is not None
+        return made
+    except BaseException:  # what a handler of signals raises: the step is cancelled, and that waited for
+        op._handle.release()
+        raise

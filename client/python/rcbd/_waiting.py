@@ -2,8 +2,11 @@
 from __future__ import annotations
 
 import logging
+import os
+import signal
 import threading
-from typing import Callable, List, Optional, TypeVar
+from _signal import getsignal as _getsignal  # type: ignore[import]  # that of signal makes an enum of it, which takes 3 us
+from typing import Any, Callable, List, Optional, TypeVar
 
 from ._library import Handle, lib
 
@@ -52,3 +55,67 @@ def interruptible(call: Callable[[], _T], client: Optional[Handle] = None) -> _T
     if fault:
         raise fault[0]
     return result[0]
+
+
+class _Watch:
+    """Ends the main thread's call after Ctrl-C, if it goes on for longer than a slice. Without another thread that makes the
+    call: from one to the other and back takes longer than most steps that send some numbers only.
+
+    Python writes the number of a signal to a pipe at once, and runs the handler after the call.
+    """
+
+    def __init__(self) -> None:
+        read_end, self.pipe = os.pipe()
+        os.set_blocking(self.pipe, False)
+        self.client: Optional[Handle] = None  # whose call is under way
+        self.calls = 0
+        threading.Thread(target=self._run, args=(read_end,), name="rcbd-watch", daemon=True).start()
+
+    def _run(self, read_end: int) -> None:
+        wake = threading.Event()
+        while True:
+            came = os.read(read_end, 64)
+            call, client = self.calls, self.client
+            if signal.SIGINT not in came or client is None:
+                continue
+            wake.wait(SLICE_SECONDS)
+            if self.calls == call and self.client is client:
+                lib.rcbd_interrupt(client.pointer)
+
+
+_watch: Optional[_Watch] = None
+
+
+def _forget_watch() -> None:
+    """A forked child has no such thread, and the pipe is its parent's."""
+    global _watch
+    if _watch is not None:
+        signal.set_wakeup_fd(-1)
+    _watch = None
+
+
+os.register_at_fork(after_in_child=_forget_watch)
+
+
+def watched(client: Handle, function: Callable[..., int], *arguments: Any) -> Optional[int]:
+    """Makes a call that waits, in this thread. None: it was not made, since this program has its own handler of Ctrl-C, or
+    asks the system itself which signals come (asyncio does); then the caller waits in slices."""
+    global _watch
+    if threading.get_ident() != threading.main_thread().ident:  # signals are the main thread's
+        return function(*arguments)
+    if _getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return None
+    if _watch is None:
+        _watch = _Watch()
+    watch = _watch
+    before = signal.set_wakeup_fd(watch.pipe, warn_on_full_buffer=False)
+    if before not in (-1, watch.pipe):
+        signal.set_wakeup_fd(before)
+        return None
+    try:
+        watch.calls += 1
+        watch.client = client
+        return function(*arguments)
+    finally:
+        watch.client = None
+        signal.set_wakeup_fd(-1)
