@@ -13,7 +13,11 @@ quietly apt-get update
 say "apt install, then the first array"
 begin=$SECONDS
 get ./*.deb gnuplot-nox
-say "$((SECONDS - begin)) s to install them and what they need"
+rcbctl up -n 4 >log 2>&1
+python3 examples/python/first.py >&2
+grep -q '<svg' first.svg
+say "$((SECONDS - begin)) s from the packages to the first array, divided and drawn"
+rcbctl down >log 2>&1
 
 say "purged once, to see what is there without them"
 quietly dpkg -P $ours
@@ -39,17 +43,16 @@ rcbctl up -n 2 >log 2>&1
 quietly cmake -S installed -B build -DEXAMPLES=/usr/share/doc/rcbd/examples
 quietly cmake --build build
 cc -o build/serial_pkgconfig examples/c/serial.c $(pkg-config --cflags --libs rcbd) -lm
-if [[ -e examples/fortran/serial.f90 ]]; then
-  gfortran -J build -o build/serial_pkgfortran $(pkg-config --variable=fortran rcbd) examples/fortran/serial.f90 $(pkg-config --libs rcbd)
-fi
+gfortran -J build -o build/serial_pkgfortran $(pkg-config --variable=fortran rcbd) examples/fortran/serial.f90 \
+  $(pkg-config --libs rcbd)
 for program in build/serial_*; do "$program" >"$program.said"; done
-if [[ -d python ]]; then
-  python3 examples/python/serial.py >build/python.said
-  dpkg -P python3-rcbd
-  python3 -m venv --system-site-packages venv
+python3 examples/python/serial.py >build/python.said
+if [[ -e python/pyproject.toml ]]; then
+  quietly dpkg -P python3-rcbd
+  quietly python3 -m venv --system-site-packages venv
   quietly venv/bin/pip install --no-index ./python
   venv/bin/python examples/python/serial.py >build/pip.said
-  dpkg -i python3-rcbd*.deb
+  quietly dpkg -i python3-rcbd*.deb
 fi
 for said in build/*.said; do cmp build/serial_c.said "$said" && say "  $said"; done
 rcbctl down >log 2>&1
