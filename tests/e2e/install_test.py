@@ -57,8 +57,9 @@ class Install(unittest.TestCase):
         endpoint = self.service()
         programs = sorted(glob.glob(os.path.join(build, "serial_*")))
         languages = [os.path.basename(program).removeprefix("serial_") for program in programs]
-        self.assertIn("c", languages)
-        print("languages:", *languages)
+        self.assertLess({"c", "cpp"}, {*languages, "fortran"})
+        if "fortran" not in languages:
+            print("no Fortran compiler: not tried in Fortran")
         said = {self.output(program, endpoint=endpoint) for program in programs}
         self.assertEqual(len(said), 1, said)
         self.assertIn("step 0: ", said.pop())
@@ -84,10 +85,8 @@ class Install(unittest.TestCase):
 
     def test_python(self):
         folder = glob.glob(os.path.join(self.prefix, "lib*", "python3*", "*-packages"))
-        if not os.path.isdir(os.path.join(ROOT, "client", "python", "rcbd")):
-            self.skipTest("no Python package")
         code = "import rcbd, importlib.metadata; print(rcbd.__file__, importlib.metadata.version('rcbd'))"
-        said = self.output("/usr/bin/python3", "-c", code, env={"PYTHONPATH": folder[0], "LD_LIBRARY_PATH": self.library})
+        said = self.output("/usr/bin/python3", "-c", code, env={"PYTHONPATH": folder[0]})
         self.assertTrue(said.startswith(self.prefix), said)
 
     def test_the_module_file(self):

@@ -1,0 +1,69 @@
+# What deploy/test_packages runs in a Debian that has nothing else. In /work: the packages, examples, client/python.
+set -euo pipefail
+cd /work
+say() { printf '%s\n' "-- $* ($SECONDS s)" >&2; }
+quietly() { "$@" >log 2>&1 || { cat log >&2; say "failed: $*"; exit 1; }; }
+get() { quietly apt-get install -q -y --no-install-recommends "$@"; }
+# Apart from what packages leave behind for their kind.
+files() { find / -xdev \( -path /proc -o -path /work -o -path /tmp -o -path /var/cache -o -path /var/log -o -path /var/lib/apt \
+  -o -path /var/lib/dpkg -o -path /root -o -path /etc/ld.so.cache \) -prune -o -print | sort; }
+ours=$(for deb in *.deb; do echo "${deb%%_*}"; done)
+
+quietly apt-get update
+say "apt install, then the first array"
+begin=$SECONDS
+get ./*.deb gnuplot-nox
+rcbctl up -n 4 >log 2>&1
+python3 examples/python/first.py >&2
+grep -q '<svg' first.svg
+say "$((SECONDS - begin)) s from the packages to the first array, divided and drawn"
+rcbctl down >log 2>&1
+
+say "purged once, to see what is there without them"
+quietly dpkg -P $ours
+files >before
+if grep -i rcb before; then say "left behind"; exit 1; fi
+
+say "dpkg -i, and what is for building"
+get g++ gfortran cmake make pkg-config man-db python3-pip python3-venv
+quietly dpkg -P man-db
+files >before
+quietly dpkg -i ./*.deb
+
+say "the README's first session"
+python3 -c 'import random; print("x,y,z"); [print(*(random.random() for _ in "xyz"), sep=",") for _ in range(1000)]' >positions.csv
+sed -n '/^## A first session/,/^## /p' /usr/share/doc/rcbd/README.md | sed -n '/^```/,/^```/p' | sed '/^```$/,$!d;1d;/^```$/,$d' |
+  sed -n 's/^\$ //p' >session
+grep -q 'rcbctl up' session
+quietly bash -eux session
+grep -q '<svg' jet.svg
+
+say "each language, by find_package and pkg-config"
+rcbctl up -n 2 >log 2>&1
+quietly cmake -S installed -B build -DEXAMPLES=/usr/share/doc/rcbd/examples
+quietly cmake --build build
+cc -o build/serial_pkgconfig examples/c/serial.c $(pkg-config --cflags --libs rcbd) -lm
+gfortran -J build -o build/serial_pkgfortran $(pkg-config --variable=fortran rcbd) examples/fortran/serial.f90 \
+  $(pkg-config --libs rcbd)
+for program in build/serial_*; do "$program" >"$program.said"; done
+python3 examples/python/serial.py >build/python.said
+if [[ -e python/pyproject.toml ]]; then
+  quietly dpkg -P python3-rcbd
+  quietly python3 -m venv --system-site-packages venv
+  quietly venv/bin/pip install --no-index ./python
+  venv/bin/python examples/python/serial.py >build/pip.said
+  quietly dpkg -i python3-rcbd*.deb
+fi
+for said in build/*.said; do cmp build/serial_c.said "$said" && say "  $said"; done
+rcbctl down >log 2>&1
+
+say "purged"
+quietly dpkg -P $ours
+files >after
+rm -rf build venv
+diff before after
+if [[ $1 == yes ]]; then
+  say "lintian"
+  get lintian
+  lintian --allow-root --fail-on error --tag-display-limit 0 ./*.deb
+fi
