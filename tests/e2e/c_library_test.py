@@ -1,14 +1,9 @@
 """librcbd.so.1 as programs in C99 see it: one history whoever tells it, every misuse a message, and what was promised stays."""
-import contextlib
 import re
 
-from seats_client import FIELDS
-from support import *
+from languages import *
 
-ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
-LIBRARY = os.path.join(BIN, "..", "lib", "librcbd.so.1")
-SEED, PARTS, STEPS = 4301, 7, 100
-TOLD = tuple(field for field in FIELDS if field != "reason")
+LIBRARY = os.path.join(LIB, "librcbd.so.1")
 
 # A program that only connects: prints the code, the message and the hint.
 CONNECT = """
@@ -20,76 +15,9 @@ print(library.rcbd_message().decode(), library.rcbd_hint().decode(), sep=chr(10)
 """
 
 
-def drifting(seed, points, dims):
-    """STEPS steps of points that drift; on a grid, so that ids decide too."""
-    rng = np.random.default_rng(seed)
-    start = rng.random((points, dims))
-    return np.round((start + rng.normal([0.01] + [0] * (dims - 1), 0.01, (STEPS, points, dims)).cumsum(axis=0)) * 40) / 40
-
-
-def steps_of(text):
-    """What c_history prints: (by step: the values of TOLD and the hash; how many steps were sent)."""
-    kinds = (int, int, int, float, float, float, lambda flag: flag == "1", int, int, int, str, int)
-    rows = [[kind(word) for kind, word in zip(kinds, line.split(), strict=True)] for line in text.splitlines() if line != "made"]
-    for row in rows:
-        row[3] = None if np.isnan(row[3]) else row[3]
-    return [row[:-1] for row in rows], sum(row[-1] for row in rows)
-
-
-class CLibrary(ServiceTest):
-    def processes(self, scene, path, seats, positions):
-        """What each of so many C programs prints, which step the trajectory together."""
-        raw = os.path.join(self.dir, scene)
-        np.ascontiguousarray(path).tofile(raw)
-        started = []
-        try:
-            for seat in range(seats):
-                words = [self.service.endpoint, scene, raw, path.shape[1], path.shape[2], len(path), PARTS, positions, seat, seats]
-                started.append(subprocess.Popen([os.path.join(BIN, "c_history"), *map(str, words)], stdout=subprocess.PIPE,
-                                                stderr=subprocess.PIPE, text=True))
-                if seat == 0:
-                    self.assertEqual(started[0].stdout.readline(), "made\n", started[0].stderr.read if started[0].poll() else "")
-            done = [one.communicate(timeout=120) for one in started]
-        finally:
-            for one in started:
-                with contextlib.suppress(ProcessLookupError):
-                    one.kill()
-                one.wait()
-                one.stdout.close()
-                one.stderr.close()
-        for one, (_, complaints) in zip(started, done):
-            self.assertEqual((one.returncode, complaints), (0, ""))
-        return [text for text, _ in done]
-
-    def cases_of(self, name, number):
-        program = os.path.join(BIN, name)
-        cases = run(program=program, check=True).stdout.split()
-        self.assertEqual(len(cases), number)
-        for case in cases:
-            with self.subTest(case):
-                done = run(self.service.endpoint, case, program=program)
-                self.assertEqual((done.returncode, done.stdout, done.stderr), (0, "", ""))
-
+class CLibrary(LanguageTest):
     def test_one_history(self):
-        """By 1 and 4 processes, sent or counted, and by rcbctl replay."""
-        for name, path in (("space", drifting(SEED, 600, 3)), ("plane", drifting(SEED + 1, 400, 2))):
-            file = self.save(name + ".npy", path)
-            self.service.json("replay", name, file, "--parts", PARTS, "--tolerance", 0.1)
-            expected = [[report[field] for field in TOLD] for report in self.service.json("history", name)]
-            last_hash = self.service.json("scene", "show", name)["hash"]
-            repartitioned = TOLD.index("repartitioned")
-            new_cuts = sum(told[repartitioned] for told in expected)
-            self.assertTrue(5 < new_cuts < STEPS - 5, new_cuts)
-            for seats in (1, 4):
-                for positions in ("every-step", "when-needed"):
-                    with self.subTest(name, seats=seats, positions=positions, seed=SEED):
-                        texts = self.processes(f"{name}-{seats}-{positions}", path, seats, positions)
-                        self.assertTrue(all(text.replace("made\n", "") == texts[-1].replace("made\n", "") for text in texts))
-                        told, sent = steps_of(texts[0])
-                        self.assertEqual([step[:-1] for step in told], expected)
-                        self.assertEqual(told[-1][-1], last_hash)
-                        # The last one is told to.
-                        self.assertEqual(sent, STEPS if positions == "every-step" else new_cuts + (not expected[-1][repartitioned]))
+        self.one_history([os.path.join(BIN, "c_history")])
 
     def test_misuse(self):
         self.cases_of("c_misuse", 7)

@@ -100,7 +100,7 @@ class Lists : public Handle<rcbd_lists> {
     const rcbd_lists_view all = view();
     return {all.item + begin_of(all, k), begin_of(all, k + 1) - begin_of(all, k), get()};
   }
-  // [entries of list k][dims], by how many periods each is to be moved; empty where there are none.
+  // [entries of list k][dims], by how many periods each is to be moved; empty where no axis is periodic.
   Array<std::int32_t> shifts(std::size_t k = 0) const {
     const rcbd_lists_view all = view();
     const std::size_t first = begin_of(all, k), last = begin_of(all, k + 1), dims = static_cast<std::size_t>(dims_);
