@@ -1,16 +1,13 @@
 """What the documents show works as shown: the README's program and first session, the programs of the page on coupling,
 a client of the wire protocol."""
-import re
-
-from support import *
-
-ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
+from pages import *
 
 WITH_PROGRAMS = dict(os.environ, PATH=f"{os.path.abspath(BIN)}:{os.environ['PATH']}")
 
 
 def block(document, language, number=0):
-    return re.findall(r"^```" + language + r"\n(.*?)^```", text_of(ROOT, document), re.S | re.M)[number]
+    found = [one.text for one in blocks_for(__file__) if (one.page, one.language) == (document, language)]
+    return found[number]
 
 
 # What a solver has and the README doesn't show.
@@ -126,9 +123,6 @@ class Documents(ServiceTest):
         self.assertEqual(compiled.returncode, 0, compiled.stderr)
         return program
 
-    def test_the_passage_of_the_parallel_example(self):
-        self.assertIn(block("docs/coupling.md", "cpp"), text_of(ROOT, "client", "examples", "cpp", "dem_parallel.cpp"))
-
     def test_a_seat_in_c(self):
         source, program, lib = os.path.join(self.dir, "solver.c"), os.path.join(self.dir, "solver"), os.path.join(BIN, "..", "lib")
         write_text(source, block("docs/coupling.md", "c") + C_SOLVER)
@@ -226,8 +220,8 @@ class Sessions(unittest.TestCase):
                    comments="")
 
     def test_the_first_session(self):
-        text = re.search(r"## A first session\n\n```\n(.*?)^```", text_of(ROOT, "README.md"), re.S | re.M).group(1)
-        lines = re.findall(r"^\$ (.*)$", text, re.M)
+        text = block("README.md", "console")
+        lines = [command for _, command in commands(text)]
         self.assertEqual(len(lines), len(text.splitlines()))
         self.points("positions.csv")
         said = {line.split()[1]: self.said(line) for line in lines}  # by command
@@ -251,10 +245,10 @@ class Sessions(unittest.TestCase):
 
     @unittest.skipUnless(shutil.which("lmp"), "lmp, of Debian's package lammps, isn't installed")
     def test_a_lammps_run(self):
-        text = re.search(r"```\n(\$ mkfifo.*?)^```", text_of(ROOT, "docs/coupling.md"), re.S | re.M).group(1)
+        text = block("docs/coupling.md", "console")
         dump = re.search(r"with the line: (dump .*)$", text, re.M).group(1)
         write_text(os.path.join(self.dir, "in.jet"), lammps_melt(dump, cells=5, steps=500))
-        lines = re.findall(r"^\$ (.*)$", text, re.M)
+        lines = [command for _, command in commands(text)]
         self.said("rcbctl up -n 2")
         # The last line asks for the history of a run that has ended.
         self.said("\n".join(["set -e", *lines[:-1], "wait $!", lines[-1]]))

@@ -1,5 +1,6 @@
 """A service over several machines (tests/hosts): the answers of one machine, solvers on any of them, and machines that
 vanish. Needs root, since the machines are made of network namespaces."""
+import itertools
 import re
 import socket
 
@@ -7,6 +8,7 @@ import judge
 import seats_client
 from listener import Listener
 from machines import *
+from pages import blocks_for, commands
 
 STRANGER = """
 import os, socket, sys, time
@@ -25,6 +27,23 @@ print(len(held))
 
 
 class HostsTest(MachinesTest):
+    def test_the_sessions_of_the_pages(self):
+        """Line by line, each on its machine, as a user whose home all machines share."""
+        for one in blocks_for(__file__):
+            with self.subTest(f"{one.page}:{one.line}"):
+                self.machines(4)
+                environment = self.hosts.environment(HOME=self.hosts.shared, RCBD_BIN_DIR=self.bin, PATH=f"{os.environ['PATH']}:{self.bin}",
+                                                     OMPI_ALLOW_RUN_AS_ROOT="1", OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="1")
+                for name, lines in itertools.groupby(commands(one.text), key=lambda line: line[0]):
+                    script = "\n".join(["set -e", *(line for _, line in lines)])
+                    done = self.hosts.run(name, "bash", "-c", script, env=environment, capture_output=True, text=True, timeout=200,
+                                          cwd=self.hosts.shared)
+                    self.assertEqual(done.returncode, 0, f"on {name}: {script}: {done.stdout}{done.stderr}")
+                endpoint = f"file:{self.hosts.shared}/rcbd.where"
+                if os.path.exists(endpoint[5:]):
+                    self.on("a", os.path.join(self.bin, "rcbctl"), "down", endpoint=endpoint, RCBD_TOKEN_FILE="", check=True)
+                self.assertTrue(wait_for(lambda: not any(self.hosts.processes(name) for name in self.hosts.names)), "processes are left")
+
     def test_answers_are_those_of_one_machine(self):
         for layout, ranks in (("a:2,b:2,c:2", 6), ("a:4,b:4", 8), ("a:1,b:1,c:1,d:1,e:1", 5)):
             with self.subTest(layout):
