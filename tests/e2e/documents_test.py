@@ -1,5 +1,5 @@
-"""What the documents show works as shown: the README's program and first session, the programs of the page on coupling,
-a client of the wire protocol."""
+"""What the documents show works as shown: the README's program and first session, the example of rcbd.h, a client of
+the wire protocol. snippets_test.py has all other blocks."""
 from pages import *
 
 WITH_PROGRAMS = dict(os.environ, PATH=f"{os.path.abspath(BIN)}:{os.environ['PATH']}")
@@ -28,32 +28,6 @@ void advance(std::vector<double>& xyz) {
 }
 """
 
-# One seat in a box that is periodic along its first axis.
-C_SOLVER = """
-#include <inttypes.h>
-#include <math.h>
-static int left = 0;
-static void hand_over(int64_t row, int seat) { left += (int)row + seat + 1; }
-int main(void) {
-  double xyz[24] = {0}, lo[3] = {0, -HUGE_VAL, -HUGE_VAL}, hi[3] = {8, HUGE_VAL, HUGE_VAL};
-  int64_t ids[8], k;
-  rcbd_lists_view view = RCBD_LISTS_VIEW;
-  rcbd_lists *lists;
-  rcbd_scene *scene;
-  for (k = 0; k < 8; ++k) xyz[3 * k] = (double)(ids[k] = k);
-  scene = open_scene("wrapped", 2, 0, 1);
-  step(scene, xyz, ids, 8, hand_over);
-  lists = halo(scene, xyz, ids, 8, 1.5, lo, hi, 1);
-  must(rcbd_lists_read(lists, &view));
-  printf("%d %d\\n", left, (int)view.entries);
-  for (k = 0; k < view.entries; ++k)
-    printf("%d: %d %d %d\\n", (int)view.item[k], view.shift[3 * k], view.shift[3 * k + 1], view.shift[3 * k + 2]);
-  rcbd_release(lists);
-  rcbd_release(scene);
-  return 0;
-}
-"""
-
 # The example of rcbd.h, in C and in C++.
 HEADER_SOLVER = """
 #include <rcbd/rcbd.h>
@@ -71,17 +45,6 @@ EXAMPLE
   rcbd_release(client);
   return 0;
 }
-"""
-
-FORTRAN_SOLVER = """
-program solver
-  use iso_c_binding
-  implicit none
-INTERFACE
-  type(rcbd_positions) :: at
-  at = rcbd_positions(int(c_sizeof(at), c_size_t), 0, 3, 3, 0, [c_null_ptr, c_null_ptr, c_null_ptr])
-  print '(i0)', rcbd_step(c_null_ptr, at, c_null_ptr, c_null_ptr)
-end program
 """
 
 CUTS_SOLVER = """
@@ -123,15 +86,6 @@ class Documents(ServiceTest):
         self.assertEqual(compiled.returncode, 0, compiled.stderr)
         return program
 
-    def test_a_seat_in_c(self):
-        source, program, lib = os.path.join(self.dir, "solver.c"), os.path.join(self.dir, "solver"), os.path.join(BIN, "..", "lib")
-        write_text(source, block("docs/coupling.md", "c") + C_SOLVER)
-        run("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-I", os.path.join(ROOT, "client", "include"), source, "-o",
-            program, "-L", lib, "-lrcbd", "-Wl,-rpath," + os.path.abspath(lib), program="/usr/bin/cc", check=True)
-        done = run(program=program, endpoint=self.service.endpoint, check=True)
-        # Eight places on a line. Both halves are this seat's, so it needs only images: those within 1.5 of the line.
-        self.assertEqual(done.stdout.splitlines(), ["0 3", "0: 1 0 0", "1: 1 0 0", "7: -1 0 0"])
-
     def test_the_example_of_the_header(self):
         header = text_of(ROOT, "client/include/rcbd/rcbd.h")
         example = header[header.index("     rcbd_client *client;"):header.index("   What a scene,")]
@@ -145,15 +99,6 @@ class Documents(ServiceTest):
                 done = run(program=program, endpoint=self.service.endpoint, check=True)
                 self.assertEqual((done.stdout, done.stderr), ("", ""))
         self.assertEqual(self.service.json("scene", "show", "jet")["step"], 1)
-
-    @unittest.skipUnless(shutil.which("gfortran"), "gfortran isn't installed")
-    def test_the_interface_in_fortran(self):
-        """By its messages: a scene that is NULL."""
-        source, program, lib = os.path.join(self.dir, "f.f90"), os.path.join(self.dir, "f"), os.path.abspath(os.path.join(BIN, "..", "lib"))
-        write_text(source, FORTRAN_SOLVER.replace("INTERFACE", block("docs/coupling.md", "fortran")))
-        run("-std=f2008", "-Wall", "-Wextra", "-Werror", "-J", self.dir, source, "-o", program, "-L", lib, "-lrcbd", "-Wl,-rpath," + lib,
-            program=shutil.which("gfortran"), check=True)
-        self.assertEqual(run(program=program, check=True).stdout.split(), ["1"])
 
     def test_the_readme_program(self):
         program = self.compile("c++", SOLVER + block("README.md", "cpp"))
