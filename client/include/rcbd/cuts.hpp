@@ -2,48 +2,45 @@
 #ifndef RCBD_CUTS_HPP
 #define RCBD_CUTS_HPP
 
+#include <memory>
 #include <utility>
 
 #include <rcbd/positions.hpp>
 
 namespace rcbd {
 
-// A holder of a handle of rcbd.h.
+// Holds a handle of rcbd.h. Copies count here, not by rcbd_retain(), which costs a call.
 template <typename T>
 class Handle {
  public:
   Handle() noexcept = default;
   // Takes over a holder that rcbd.h gave.
-  explicit Handle(T* holder) noexcept : handle_(holder) {}
-  Handle(const Handle& other) noexcept : handle_(other.handle_) { retain(handle_); }
-  Handle(Handle&& other) noexcept : handle_(other.handle_) { other.handle_ = nullptr; }
-  Handle& operator=(Handle other) noexcept {
-    std::swap(handle_, other.handle_);
-    return *this;
+  explicit Handle(T* holder) {
+    if (holder != nullptr) handle_.reset(holder, rcbd_release);
   }
-  ~Handle() { rcbd_release(handle_); }
-
   explicit operator bool() const noexcept { return handle_ != nullptr; }
   // For the functions of rcbd.h; it stays this handle's.
-  T* get() const noexcept { return handle_; }
+  T* get() const noexcept { return handle_.get(); }
+
+ protected:
+  const std::shared_ptr<T>& shared() const noexcept { return handle_; }
 
  private:
-  static void retain(void* handle) noexcept {
-    if (handle != nullptr) rcbd_retain(handle);
-  }
-
-  T* handle_ = nullptr;
+  std::shared_ptr<T> handle_;
 };
 
 namespace detail {
 
 // What keeps arrays and texts valid. Moved, it is copied: so what it was moved from stays valid, too.
-class Holder : private Handle<void> {
+class Holder {
  public:
   Holder() = default;
-  explicit Holder(void* handle) : Handle<void>(rcbd_retain(handle)) {}
+  explicit Holder(std::shared_ptr<const void> handle) : handle_(std::move(handle)) {}
   Holder(const Holder&) = default;
   Holder& operator=(const Holder&) = default;
+
+ private:
+  std::shared_ptr<const void> handle_;
 };
 
 }  // namespace detail
@@ -53,7 +50,8 @@ template <typename T>
 class Array {
  public:
   Array() = default;
-  Array(const T* data, std::size_t size, void* handle) : data_(data), size_(size), holder_(handle) {}
+  Array(const T* data, std::size_t size, std::shared_ptr<const void> handle)
+      : data_(data), size_(size), holder_(std::move(handle)) {}
   const T* data() const { return data_; }
   std::size_t size() const { return size_; }
   bool empty() const { return size_ == 0; }
@@ -98,14 +96,14 @@ class Lists : public Handle<rcbd_lists> {
   // List k: the rows of a halo; the parts of neighbours and boxes.
   Array<std::int64_t> items(std::size_t k = 0) const {
     const rcbd_lists_view all = view();
-    return {all.item + begin_of(all, k), begin_of(all, k + 1) - begin_of(all, k), get()};
+    return {all.item + begin_of(all, k), begin_of(all, k + 1) - begin_of(all, k), shared()};
   }
   // [entries of list k][dims], by how many periods each is to be moved; empty where no axis is periodic.
   Array<std::int32_t> shifts(std::size_t k = 0) const {
     const rcbd_lists_view all = view();
     const std::size_t first = begin_of(all, k), last = begin_of(all, k + 1), dims = static_cast<std::size_t>(dims_);
     if (all.shift == nullptr) return {};
-    return {all.shift + first * dims, (last - first) * dims, get()};
+    return {all.shift + first * dims, (last - first) * dims, shared()};
   }
   int dims() const { return dims_; }
   // All of them, valid as long as this handle holds them.

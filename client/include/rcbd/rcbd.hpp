@@ -59,7 +59,7 @@ class Step : public Handle<rcbd_result> {
   Report report() const {
     Report report;
     check(rcbd_result_report(get(), &report));
-    report.holder = detail::Holder(get());
+    report.holder = detail::Holder(shared());
     return report;
   }
   // By row. Needs want_parts.
@@ -67,7 +67,7 @@ class Step : public Handle<rcbd_result> {
     const std::int32_t* part = nullptr;
     std::int64_t count = 0;
     check(rcbd_result_parts(get(), &part, &count));
-    return {part, static_cast<std::size_t>(count), get()};
+    return {part, static_cast<std::size_t>(count), shared()};
   }
   // Needs want_changed.
   Changed changed() const { return pairs<Changed>(rcbd_result_changed); }
@@ -81,7 +81,7 @@ class Step : public Handle<rcbd_result> {
     std::int64_t count = 0;
     check(read(get(), &row, &number, &count));
     const auto size = static_cast<std::size_t>(count);
-    return {{row, size, get()}, {number, size, get()}};
+    return {{row, size, shared()}, {number, size, shared()}};
   }
 };
 
