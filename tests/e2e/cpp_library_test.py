@@ -1,5 +1,7 @@
 """rcbd.hpp as programs in C++14 and later see it: one history, every misuse an rcbd::Error, arrays that stay, and no warning
 from either compiler."""
+import re
+
 from languages import *
 
 CLANG = shutil.which("clang++")
@@ -32,6 +34,23 @@ std::uint64_t uses(const rcbd::Client& client, std::vector<double>& xyz, std::ve
 # What would refer to a vector that is gone, or write where it may not.
 REFUSED = ("scene.step(std::vector<double>(3))", "options.ids = std::vector<std::int64_t>(3)", "rcbd::wrap(constant, {0}, {1})",
            "scene.step(std::vector<int>(3))", "rcbd::Scene s = nullptr", "scene.arrays<int>(3)", "scene.step(whole)")
+# What the example of rcbd.hpp doesn't show.
+SOLVER = """
+#include <cmath>
+#include <cstdio>
+#include <rcbd/rcbd.hpp>
+std::vector<double> initial_positions() {
+  std::vector<double> xyz;
+  for (int i = 0; i < 3000; ++i) xyz.push_back(std::fmod(i * 0.61803398875, 1.0));
+  return xyz;
+}
+void advance(std::vector<double>& xyz) {
+  for (std::size_t i = 0; i < xyz.size() / 2; ++i) xyz[i] *= 0.99;
+}
+int main() {
+EXAMPLE
+}
+"""
 
 
 class CppLibrary(LanguageTest):
@@ -95,6 +114,16 @@ void refused(rcbd::Scene& scene, rcbd::StepOptions& options, const std::vector<d
 
     def test_surroundings(self):
         self.cases_of("cpp_surroundings", 4)
+
+    def test_the_example_of_the_header(self):
+        header = text_of(INCLUDE, "rcbd", "rcbd.hpp")
+        example = re.search(r"(?m)^//   std::vector<double> xyz(?:.*\n//   )*.*", header)[0].replace("//   ", "")
+        source, program = os.path.join(self.dir, "jet.cpp"), os.path.join(self.dir, "jet")
+        write_text(source, SOLVER.replace("EXAMPLE", example))
+        self.assertEqual(self.compiled("g++", "-std=c++14", *WARNINGS, source, "-o", program, *LINK), "")
+        done = run(program=program, endpoint=self.service.endpoint, check=True)
+        self.assertRegex(done.stdout, r"step 0: .*\n(.*\n)*part 3 needs particle \d+\n")
+        self.assertEqual(self.service.json("scene", "show", "jet")["step"], 99)
 
     def test_the_serial_example(self):
         """Prints the same as the one in C."""

@@ -1,5 +1,5 @@
-"""What the documents show works as shown: the README's program and first session, the example of rcbd.h, a client of
-the wire protocol. snippets_test.py has all other blocks."""
+"""What the documents show works as shown: the README's first session, the example of rcbd.h, a client of the wire
+protocol. snippets_test.py has all other blocks."""
 from pages import *
 
 WITH_PROGRAMS = dict(os.environ, PATH=f"{os.path.abspath(BIN)}:{os.environ['PATH']}")
@@ -9,24 +9,6 @@ def block(document, language, number=0):
     found = [one.text for one in blocks_for(__file__) if (one.page, one.language) == (document, language)]
     return found[number]
 
-
-# What a solver has and the README doesn't show.
-SOLVER = """
-#include <cmath>
-#include <cstdint>
-#include <cstdio>
-#include <vector>
-std::vector<double> initial_positions() {
-  std::vector<double> xyz;
-  for (int i = 0; i < 3000; ++i) xyz.push_back(std::fmod(i * 0.61803398875, 1.0));
-  return xyz;
-}
-int handed_over = 0;
-void hand_over(std::uint64_t, std::int32_t) { ++handed_over; }
-void advance(std::vector<double>& xyz) {
-  for (std::size_t i = 0; i < xyz.size() / 2; ++i) xyz[i] *= 0.99;
-}
-"""
 
 # The example of rcbd.h, in C and in C++.
 HEADER_SOLVER = """
@@ -47,45 +29,8 @@ EXAMPLE
 }
 """
 
-CUTS_SOLVER = """
-#include <cstdio>
-#include "client/lib/client.hpp"
-int main() {
-  std::vector<double> xyz;
-  for (int i = 0; i < 30000; ++i) xyz.push_back(double(i * 7919LL % 30011) / 30011);
-  auto client = rcb::client::Client::connect({});
-  if (!client->create_scene("cube", {.parts = 8, .replace = true})) return 1;
-  auto scene = client->open_scene("cube");
-  const auto positions = rcb::client::Positions::rows(xyz.data(), 10000, 3);
-  if (!scene->step(positions)) return 1;
-  std::vector<std::int32_t> part(10000);
-PASSAGE
-  if (!asked || !halo) return 1;
-  for (int p = 0; p < 8; ++p) {
-    int owned = 0, own = 0;
-    for (const auto q : part) owned += q == p;
-    for (const auto row : halo->rows_for(p)) own += part[row] == p;
-    std::printf("%d %d %d\\n", owned, int(halo->rows_for(p).size()), own);
-  }
-}
-"""
-
 
 class Documents(ServiceTest):
-    def compile(self, compiler, text):
-        source, program = os.path.join(self.dir, "solver.cpp"), os.path.join(self.dir, "solver")
-        write_text(source, text)
-        build = os.path.dirname(BIN)
-        libraries = [os.path.join(build, f"librcb_{name}.a")
-                     for name in ("client_lib", "common_layout", "common_wire", "common_auth", "common_tls",
-                                  "common_openssl", "common_cuts", "common_particles", "common_files", "common_base")]
-        compiled = subprocess.run([compiler, "-std=c++20", "-I", ROOT, source, "-o", program,
-                                   *filter(os.path.exists, libraries),
-                                   "-lpthread"],
-                                  capture_output=True, text=True, timeout=200)
-        self.assertEqual(compiled.returncode, 0, compiled.stderr)
-        return program
-
     def test_the_example_of_the_header(self):
         header = text_of(ROOT, "client/include/rcbd/rcbd.h")
         example = header[header.index("     rcbd_client *client;"):header.index("   What a scene,")]
@@ -99,41 +44,6 @@ class Documents(ServiceTest):
                 done = run(program=program, endpoint=self.service.endpoint, check=True)
                 self.assertEqual((done.stdout, done.stderr), ("", ""))
         self.assertEqual(self.service.json("scene", "show", "jet")["step"], 1)
-
-    def test_the_readme_program(self):
-        program = self.compile("c++", SOLVER + block("README.md", "cpp"))
-        done = run(program=program, endpoint=self.service.endpoint, check=True)
-        self.assertIn("has reached the tolerance", done.stdout)
-        history = self.service.json("history", "jet")
-        self.assertEqual([report["step"] for report in history], list(range(201)))
-
-    def test_the_passage_of_the_readme_on_cuts(self):
-        """Ten thousand points in a cube: eight parts, each of which needs some points of the others, and not its own."""
-        program = self.compile("c++", CUTS_SOLVER.replace("PASSAGE", block("README.md", "cpp", 1)))
-        done = run(program=program, endpoint=self.service.endpoint, check=True)
-        counts = self.service.json("counts", "cube")["counts"]
-        lines = [list(map(int, line.split())) for line in done.stdout.splitlines()]
-        self.assertEqual([owned for owned, _, _ in lines], counts)
-        self.assertTrue(all(0 < needed < 5000 and own == 0 for _, needed, own in lines), lines)
-
-    def test_the_python_example(self):
-        """It runs, and says why where the service refuses."""
-        script = os.path.join(self.dir, "example.py")
-        write_text(script, block("README.md", "python"))
-
-        def example(endpoint):
-            return run(script, program="/usr/bin/python3", endpoint=endpoint, cwd=self.dir,
-                       env={"PATH": BIN + ":" + os.environ["PATH"]})
-
-        done = example(self.service.endpoint)
-        self.assertEqual((done.returncode, done.stdout, done.stderr), (0, "", ""))
-        history = self.service.json("history", "cloud")
-        self.assertEqual([report["step"] for report in history], list(range(10)))
-        self.assertGreater(sum(report["repartitioned"] for report in history), 1)
-        part = np.load(os.path.join(self.dir, "part.npy"))
-        self.assertEqual(np.bincount(part).tolist(), self.service.json("counts", "cloud")["counts"])
-        done = example("unix:/nonexistent/s")
-        self.assertEqual((done.returncode, done.stderr), (1, "no service answers at unix:/nonexistent/s\n"))
 
     def test_the_client_of_one_page_that_pushes(self):
         client = os.path.join(ROOT, "client/examples/wire/pushes.py")
