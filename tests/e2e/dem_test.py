@@ -9,6 +9,7 @@ LONG = "--long" in sys.argv
 # The words that run it, by language; each has a class of tests, DemIn_LANGUAGE.
 PROGRAMS = {
     "c": [os.path.join(BIN, "dem_c")],
+    "cpp": [os.path.join(BIN, "dem_cpp")],
 }
 D, K, C, DT, U = 1.0, 1000.0, 2.0, 0.005, 2.0 ** 32
 TOLD = ("step", "n", "error_before", "error", "imbalance", "repartitioned", "epoch", "moved", "axes_flipped")

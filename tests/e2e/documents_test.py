@@ -127,7 +127,7 @@ class Documents(ServiceTest):
         return program
 
     def test_the_passage_of_the_parallel_example(self):
-        self.assertIn(block("docs/coupling.md", "cpp"), text_of(ROOT, "client", "examples", "cpp", "dem_parallel.cpp"))
+        self.assertIn(block("docs/coupling.md", "cpp"), text_of(ROOT, "client", "examples", "cpp", "dem.cpp"))
 
     def test_a_seat_in_c(self):
         source, program, lib = os.path.join(self.dir, "solver.c"), os.path.join(self.dir, "solver"), os.path.join(BIN, "..", "lib")
