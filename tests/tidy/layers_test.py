@@ -58,12 +58,12 @@ ARROWS = {
     "client/solvers/mpm": ["common/base", "common/geometry"],
     "client/solvers": ["client/solvers/mpm", "client/lib", "client/lib/connect", "common/io"],
     "client/solvers/mpi": ["client/solvers", "common/layout"],
-    "client/examples/cpp": ["client/lib"],
+    "client/examples/cpp": ["client/include/rcbd"],
 }
 
 # header: the folders where it may be included.
 ROOMS = {
-    r"<mpi\.h>": ["server/ranks", "client/solvers/mpi", "client/examples/cpp", "tests/support", "tests/bench", "tests/bench/peers"],
+    r"<mpi\.h>": ["server/ranks", "client/solvers/mpi", "tests/support", "tests/bench", "tests/bench/peers"],
     r"<boost/asio": ["server/net/sockets", "client/lib/connect"],
     r"<openssl/": ["common/openssl", "tests/common/tls"],
     r"<hdf5\.h>": ["common/hdf5", "tests/common/io"],
