@@ -5,10 +5,13 @@ import functools
 from support import *
 
 LONG = "--long" in sys.argv
+ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
 
 # The words that run it, by language; each has a class of tests, DemIn_LANGUAGE.
 PROGRAMS = {
     "c": [os.path.join(BIN, "dem_c")],
+    "python": ["env", f"PYTHONPATH={ROOT}/client/python", f"RCBD_LIBRARY={BIN}/../lib/librcbd.so.1", "/usr/bin/python3",
+               f"{ROOT}/client/examples/python/dem.py"],
 }
 D, K, C, DT, U = 1.0, 1000.0, 2.0, 0.005, 2.0 ** 32
 TOLD = ("step", "n", "error_before", "error", "imbalance", "repartitioned", "epoch", "moved", "axes_flipped")
