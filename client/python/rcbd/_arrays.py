@@ -41,7 +41,8 @@ def _as_floats(values: ArrayLike, what: str) -> NDArray[Any]:
 
 def positions_array(xyz: ArrayLike) -> NDArray[Any]:
     """(n, dims) of float64 or float32 that the library can read in place: the caller's own array wherever possible."""
-    array = xyz if type(xyz) is np.ndarray and xyz.dtype in (F8, F4) else _as_floats(xyz, "positions")
+    usual = type(xyz) is np.ndarray and (xyz.dtype is F8 or xyz.dtype is F4)
+    array: NDArray[Any] = xyz if usual else _as_floats(xyz, "positions")  # type: ignore[assignment]
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim != 2 or not 1 <= array.shape[1] <= 3:
