@@ -17,8 +17,7 @@ _EXACT = 2**53  # integers up to this are exact as float64
 
 
 def address(array: NDArray[Any]) -> int:
-    where: int = array.__array_interface__["data"][0]
-    return where
+    return array.ctypes.data
 
 
 def _plain(values: ArrayLike, what: str) -> NDArray[Any]:
@@ -57,7 +56,7 @@ def positions_of(array: NDArray[Any]) -> bytes:
     """The struct that says where the rows of a positions_array() are. The array is to be kept until the call is over."""
     count, dims = array.shape
     stride, across = array.strides
-    first, size = address(array), array.itemsize
+    first, size = array.ctypes.data, array.itemsize
     return _pack_positions(_SIZE, count, stride // size if count > 1 else 1, dims, size == 4, first,
                            first + across if dims > 1 else 0, first + 2 * across if dims > 2 else 0)
 

@@ -17,6 +17,7 @@ from ._waiting import SLICE_SECONDS, log_notices, watched
 
 _pack_options = packing(StepOptions).pack
 _OPTIONS_SIZE = ctypes.sizeof(StepOptions)
+_NO_REPORT = bytes(library.Report())  # quicker to copy than to make
 
 
 class Report:
@@ -81,7 +82,7 @@ class Report:
     json: str
 
     def __init__(self, result: Handle) -> None:
-        told = library.Report()
+        told = library.Report.from_buffer_copy(_NO_REPORT)
         check(lib.rcbd_result_report(result.pointer, byref(told)))
         self._told, self._result = told, result
 
