@@ -17,8 +17,7 @@ _EXACT = 2**53  # integers up to this are exact as float64
 
 
 def address(array: NDArray[Any]) -> int:
-    where: int = array.__array_interface__["data"][0]
-    return where
+    return array.ctypes.data
 
 
 def _plain(values: ArrayLike, what: str) -> NDArray[Any]:
@@ -41,7 +40,8 @@ def _as_floats(values: ArrayLike, what: str) -> NDArray[Any]:
 
 def positions_array(xyz: ArrayLike) -> NDArray[Any]:
     """(n, dims) of float64 or float32 that the library can read in place: the caller's own array wherever possible."""
-    array = xyz if type(xyz) is np.ndarray and xyz.dtype in (F8, F4) else _as_floats(xyz, "positions")
+    usual = type(xyz) is np.ndarray and (xyz.dtype is F8 or xyz.dtype is F4)
+    array: NDArray[Any] = xyz if usual else _as_floats(xyz, "positions")  # type: ignore[assignment]
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim != 2 or not 1 <= array.shape[1] <= 3:
@@ -56,7 +56,7 @@ def positions_of(array: NDArray[Any]) -> bytes:
     """The struct that says where the rows of a positions_array() are. The array is to be kept until the call is over."""
     count, dims = array.shape
     stride, across = array.strides
-    first, size = address(array), array.itemsize
+    first, size = array.ctypes.data, array.itemsize
     return _pack_positions(_SIZE, count, stride // size if count > 1 else 1, dims, size == 4, first,
                            first + across if dims > 1 else 0, first + 2 * across if dims > 2 else 0)
 

@@ -220,8 +220,9 @@ class Scene(_Closing):
                 deadline_exceeded, unavailable, interrupted, aborted.
             TypeError, ValueError: an array of the wrong type or shape.
         """
-        ask = self._ask(xyz, ids, weights, step, inserted, removed, step_seconds, want_parts, want_changed, send, threads,
-                        deadline_seconds)
+        ask = Ask(xyz, ids, weights, step, inserted, removed, step_seconds, want_parts, want_changed, send, threads,
+                  deadline_seconds)
+        self._cuts_known = want_parts or want_changed  # with either the library has the cuts after each step
         try:
             return make(self._handle, self._client, ask)
         finally:
@@ -237,17 +238,10 @@ class Scene(_Closing):
         Raises:
             Error: invalid_argument, busy (another step of the scene is not done). Others are raised by Op.wait().
         """
-        return begin(self._handle, self._client,
-                     self._ask(xyz, ids, weights, step, inserted, removed, step_seconds, want_parts, want_changed, send,
-                               threads, deadline_seconds))
-
-    def _ask(self, xyz: ArrayLike, ids: Optional[ArrayLike], weights: Optional[ArrayLike],
-             step: Optional[int], inserted: int, removed: int, step_seconds: Optional[float], want_parts: bool,
-             want_changed: bool, *options: Any) -> Ask:
-        ask = Ask(xyz, ids, weights, step, inserted, removed, step_seconds, want_parts, want_changed, *options)
-        # With these the library has the cuts after each step.
-        self._cuts_known = bool(want_parts or want_changed)
-        return ask
+        ask = Ask(xyz, ids, weights, step, inserted, removed, step_seconds, want_parts, want_changed, send, threads,
+                  deadline_seconds)
+        self._cuts_known = want_parts or want_changed
+        return begin(self._handle, self._client, ask)
 
     @property
     def last_step(self) -> Optional[int]:

@@ -224,9 +224,9 @@ class Handle:
         return ctypes.byref(self.pointer)
 
     def release(self, _release: Any = lib.rcbd_release) -> None:
-        pointer, self.pointer = self.pointer, c_void_p()
-        if pointer:
-            _release(pointer)
+        value, self.pointer.value = self.pointer.value, None
+        if value:
+            _release(value)
 
     def __del__(self) -> None:
         self.release()

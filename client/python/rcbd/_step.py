@@ -4,8 +4,6 @@ from __future__ import annotations
 import ctypes
 import struct
 from ctypes import byref, c_int64, c_void_p
-from dataclasses import dataclass
-from dataclasses import fields as dataclass_fields
 from math import isnan
 from typing import Any, NamedTuple, Optional, Tuple
 
@@ -19,10 +17,9 @@ from ._waiting import SLICE_SECONDS, log_notices, watched
 
 _pack_options = packing(StepOptions).pack
 _OPTIONS_SIZE = ctypes.sizeof(StepOptions)
-_unpack_report = packing(library.Report).unpack
+_NO_REPORT = bytes(library.Report())  # quicker to copy than to make
 
 
-@dataclass(frozen=True)
 class Report:
     """What the service tells of a step. Times are in seconds.
 
@@ -84,27 +81,27 @@ class Report:
     way: str
     json: str
 
+    def __init__(self, result: Handle) -> None:
+        told = library.Report.from_buffer_copy(_NO_REPORT)
+        check(lib.rcbd_result_report(result.pointer, byref(told)))
+        self._told, self._result = told, result
 
-_FIELDS = ("size", *(field.name for field in dataclass_fields(Report)))
+    def __getattr__(self, name: str) -> Any:
+        """A field that is asked for the first time: of 30 most programs read two or three."""
+        if name not in Report.__annotations__:
+            raise AttributeError(f"a report has no {name!r}")
+        value = getattr(self._told, name)
+        if name in ("reason", "way", "json"):
+            value = value.decode(errors="replace")
+        elif name in ("repartitioned", "sent"):
+            value = bool(value)
+        elif (name in ("drifted", "positions_step") and value < 0) or (name == "error_before" and isnan(value)):
+            value = None
+        self.__dict__[name] = value
+        return value
 
-
-def _report_of(handle: Handle) -> Report:
-    told = library.Report()
-    check(lib.rcbd_result_report(handle.pointer, byref(told)))
-    fields = dict(zip(_FIELDS, _unpack_report(told)))
-    del fields["size"]
-    for name in ("reason", "way", "json"):
-        fields[name] = ctypes.string_at(fields[name]).decode(errors="replace")
-    for name in ("drifted", "positions_step"):
-        if fields[name] < 0:
-            fields[name] = None
-    if isnan(fields["error_before"]):
-        fields["error_before"] = None
-    fields["repartitioned"] = fields["repartitioned"] != 0
-    fields["sent"] = fields["sent"] != 0
-    report = Report.__new__(Report)
-    report.__dict__.update(fields)  # __init__ would take longer than all the rest
-    return report
+    def __repr__(self) -> str:
+        return f"Report({', '.join(f'{name}={getattr(self, name)!r}' for name in Report.__annotations__)})"
 
 
 class Leaving(NamedTuple):
@@ -144,7 +141,7 @@ class Step:
     def report(self) -> Report:
         """What the service tells of the step."""
         if self._report is None:
-            self._report = _report_of(self._handle)
+            self._report = Report(self._handle)
         return self._report
 
     @property
@@ -242,8 +239,8 @@ class Ask:
             self.options = _pack_options(
                 _OPTIONS_SIZE, -1 if step is None else step, 0 if self.ids is None else arrays.address(self.ids),
                 0 if self.weights is None else arrays.address(self.weights), inserted, removed,
-                -1.0 if step_seconds is None else step_seconds, True if want_parts else False,
-                True if want_changed else False, True if send else False, threads, deadline_seconds)
+                -1.0 if step_seconds is None else step_seconds, bool(want_parts), bool(want_changed), bool(send), threads,
+                deadline_seconds)
         except struct.error as fault:
             raise Error("invalid_argument", f"an option of the step is no number, or too large: {fault}") from None
 

@@ -53,7 +53,7 @@ def interruptible(call: Callable[[], _T], client: Optional[Handle] = None) -> _T
     if client:
         log_notices(client)
     if fault:
-        raise fault[0]
+        raise fault.pop()  # so that no list here holds it, and so this frame, in a circle
     return result[0]
 
 
