@@ -70,7 +70,7 @@ if(python_files)
   rcb_package(python python3-rcbd python ARCHITECTURE all DEPENDS "python3 (>= 3.9), python3-numpy, librcbd1 (>= ${PROJECT_VERSION})"
     SUGGESTS "rcbd, python3-mpi4py" CONTROL "${for_debian}/postinst" "${for_debian}/prerm"
     DESCRIPTION "Python client of the partitioning service rcbd
-The package rcbd, which pushes NumPy arrays to the service and gives its answers
-as NumPy arrays.")
+The package rcbd, which pushes NumPy arrays to the service and gives its
+answers as NumPy arrays.")
 endif()
 include(CPack)

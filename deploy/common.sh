@@ -1,4 +1,4 @@
-# Shell functions that deploy/demo and deploy/test share. Sourced, never run.
+# Shell functions that the scripts of deploy share. Sourced, never run.
 # shellcheck shell=bash
 
 # The top of the checkout.
@@ -45,13 +45,14 @@ install_dependencies() {
 
 # begin_work NAME: a folder ($WORK) for sockets, data and temporary files of everything started from here on, and a
 # mark in the environment ($RCBD_WORK) by which all of that is found again. It is ended, whatever happens, by end_work.
+# A script that another one runs works in a folder of that one's, which ends what carries its mark.
 begin_work() {
   unset RCBD_ENDPOINT RCBD_BIN_DIR RCBD_TOKEN RCBD_TOKEN_FILE
   trap end_work EXIT
   trap 'exit 130' INT
   trap 'exit 143' TERM HUP
-  WORK=$(mktemp -d "/tmp/$1.XXXXXX")
-  export RCBD_WORK=$WORK TMPDIR=$WORK
+  WORK=$(mktemp -d "${RCBD_WORK:-/tmp}/$1.XXXXXX")
+  export RCBD_WORK=${RCBD_WORK:-$WORK} TMPDIR=$WORK
 }
 
 # The processes that carry the mark; only those of that name, if one is given. (grep itself must not carry it.)
@@ -71,6 +72,10 @@ marked() {
 end_work() {
   trap '' INT TERM HUP
   local pids i
+  if [[ $RCBD_WORK != "$WORK" ]]; then
+    rm -rf "$WORK"
+    return
+  fi
   for ((i = 0; i < 100; ++i)); do
     pids=$(marked rcbd-supervisor)
     [[ -n $pids ]] || break

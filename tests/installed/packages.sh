@@ -7,17 +7,19 @@ get() { quietly apt-get install -q -y --no-install-recommends "$@"; }
 # Apart from what packages leave behind for their kind.
 files() { find / -xdev \( -path /proc -o -path /work -o -path /tmp -o -path /var/cache -o -path /var/log -o -path /var/lib/apt \
   -o -path /var/lib/dpkg -o -path /root -o -path /etc/ld.so.cache \) -prune -o -print | sort; }
+docs=/usr/share/doc/rcbd
+# snippet PAGE PATTERN: the first block of code behind a line like that.
+snippet() { awk -v like="$2" '$0 ~ like { near = 1 } near && /^```/ { if (open) exit; open = 1; next } open' "$docs/$1"; }
 ours=$(for deb in *.deb; do echo "${deb%%_*}"; done)
 
 quietly apt-get update
 say "apt install, then the first array"
 begin=$SECONDS
 get ./*.deb gnuplot-nox
-rcbctl up -n 4 >log 2>&1
-python3 examples/python/first.py >&2
+snippet docs/install.md '^The first array' | sed -n 's/^\$ //p' >first
+quietly bash -eux first
 grep -q '<svg' first.svg
 say "$((SECONDS - begin)) s from the packages to the first array, divided and drawn"
-rcbctl down >log 2>&1
 
 say "purged once, to see what is there without them"
 quietly dpkg -P $ours
@@ -25,33 +27,45 @@ files >before
 if grep -i rcb before; then say "left behind"; exit 1; fi
 
 say "dpkg -i, and what is for building"
-get g++ gfortran cmake make pkg-config man-db python3-pip python3-venv
-quietly dpkg -P man-db
+get g++ gfortran cmake make pkg-config python3-pip python3-venv
 files >before
 quietly dpkg -i ./*.deb
 
 say "the README's first session"
 python3 -c 'import random; print("x,y,z"); [print(*(random.random() for _ in "xyz"), sep=",") for _ in range(1000)]' >positions.csv
-sed -n '/^## A first session/,/^## /p' /usr/share/doc/rcbd/README.md | sed -n '/^```/,/^```/p' | sed '/^```$/,$!d;1d;/^```$/,$d' |
-  sed -n 's/^\$ //p' >session
+snippet README.md '^## A first session' | sed -n 's/^\$ //p' >session
 grep -q 'rcbctl up' session
 quietly bash -eux session
 grep -q '<svg' jet.svg
 
 say "each language, by find_package and pkg-config"
 rcbctl up -n 2 >log 2>&1
-quietly cmake -S installed -B build -DEXAMPLES=/usr/share/doc/rcbd/examples
+quietly cmake -S installed -B build -DEXAMPLES=$docs/examples
 quietly cmake --build build
-cc -o build/serial_pkgconfig examples/c/serial.c $(pkg-config --cflags --libs rcbd) -lm
-gfortran -J build -o build/serial_pkgfortran $(pkg-config --variable=fortran rcbd) examples/fortran/serial.f90 \
-  $(pkg-config --libs rcbd)
+mkdir page
+(
+  cd page
+  cp $docs/examples/c/serial.c solver.c
+  cp $docs/examples/fortran/serial.f90 solver.f90
+  snippet docs/install.md '^\*\*pkg-config' >commands
+  grep -q gfortran commands
+  while read -r command; do
+    eval "$command"
+    mv a.out "../build/serial_${command%% *}"
+  done <commands
+  { printf 'cmake_minimum_required(VERSION 3.13)\nproject(page C CXX Fortran)\nadd_executable(solver solver.f90)\n'
+    snippet docs/install.md '^\*\*CMake'; } >CMakeLists.txt
+  quietly cmake -S . -B build
+  quietly cmake --build build
+  cp build/solver ../build/serial_page
+)
 for program in build/serial_*; do "$program" >"$program.said"; done
-python3 examples/python/serial.py >build/python.said
+python3 $docs/examples/python/serial.py >build/python.said
 if [[ -e python/pyproject.toml ]]; then
   quietly dpkg -P python3-rcbd
   quietly python3 -m venv --system-site-packages venv
   quietly venv/bin/pip install --no-index ./python
-  venv/bin/python examples/python/serial.py >build/pip.said
+  venv/bin/python $docs/examples/python/serial.py >build/pip.said
   quietly dpkg -i python3-rcbd*.deb
 fi
 for said in build/*.said; do cmp build/serial_c.said "$said" && say "  $said"; done
@@ -60,7 +74,6 @@ rcbctl down >log 2>&1
 say "purged"
 quietly dpkg -P $ours
 files >after
-rm -rf build venv
 diff before after
 if [[ $1 == yes ]]; then
   say "lintian"

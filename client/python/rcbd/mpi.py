@@ -13,7 +13,7 @@
 All processes of the communicator make these calls, in the same order. Where numbers are exchanged first (connect,
 scene(comm=...), hand_over, HaloPlan) the failure of one process is raised by all. HaloPlan.forward() and reverse_add() only
 check their arguments before anything is sent: then one process alone raises, so run such a program by
-`mpirun python3 -m mpi4py PROGRAM`, by which an error ends all. Messages have the tag 4301: no receive for any tag may wait
+`mpirun python3 -m mpi4py PROGRAM`, by which an error ends all. Messages have the tag 7470: no receive for any tag may wait
 on the communicator meanwhile; else give a duplicate, comm.Dup().
 """
 from __future__ import annotations
@@ -36,7 +36,7 @@ from ._step import Step
 
 __all__ = ["HaloPlan", "agree", "connect", "hand_over", "scene_open", "together"]
 
-_TAG = 4301
+_TAG = 7470
 _TEXT_BYTES = 2048
 
 
