@@ -110,7 +110,7 @@ void refused(rcbd::Scene& scene, rcbd::StepOptions& options, const std::vector<d
         self.cases_of("cpp_misuse", 7)
 
     def test_lifetime(self):
-        self.cases_of("cpp_lifetime", 6, MALLOC_PERTURB_="165")  # memory that was freed is filled with this byte
+        self.cases_of("cpp_lifetime", 7, MALLOC_PERTURB_="165")  # memory that was freed is filled with this byte
 
     def test_surroundings(self):
         self.cases_of("cpp_surroundings", 4)
