@@ -44,9 +44,10 @@ class Mpi:
         for processes in (1, 2, 4):
             self.run_on(processes, program, self.service.endpoint)
 
-    def test_more_rows_than_mpi_can_count(self):
-        program = self.compiled("tests/client/mpi/failures.c", "-DRCBD_MPI_COUNT_MAX=3", "-Wno-unused-function")
-        self.run_on(2, program, self.service.endpoint)
+    def test_more_rows_than_mpi_can_count_and_more_processes_than_seats(self):
+        for limit in ("COUNT_MAX=3", "SEATS_MAX=1"):
+            program = self.compiled("tests/client/mpi/failures.c", "-DRCBD_MPI_" + limit, "-Wno-unused-function")
+            self.run_on(2, program, self.service.endpoint)
 
     def test_vectors(self):
         program = self.compiled("tests/client/mpi/vectors.cpp")

@@ -196,10 +196,8 @@ static void check_reach(void) {
   MPI_Allreduce(MPI_IN_PLACE, &far, 1, MPI_INT64_T, MPI_MIN, comm);
   if (far == INT64_MAX) return;
   snprintf(message, sizeof(message),
-           "sphere %" PRId64
-           " has moved by more than %g since the last push, so the halo may "
-           "lack spheres that it touches",
-           far, number[REACH]);
+           "sphere %ld has moved by more than %g since the last push, so the halo may lack spheres that it touches",
+           (long)far, number[REACH]);
   end(message, "push more often (--push-every), or give a greater --reach");
 }
 
@@ -265,7 +263,8 @@ static void read_options(int count, char** word) {
     if (o < OPTIONS && k + 1 < count) text[o] = stop = word[++k];
     if (o < NUMBERS && stop != NULL) {
       number[o] = strtod(text[o], &stop);
-      if (*stop || !(number[o] >= (o != PARTS) * 1e-9 && number[o] < 1e9) || (o != REACH && number[o] != floor(number[o]))) stop = NULL;
+      if (*stop || !(number[o] >= (o == PARTS ? 0 : 1e-9) && number[o] < 1e9)) stop = NULL;
+      if (o != REACH && number[o] != floor(number[o])) stop = NULL;
     }
     if (stop == NULL || *text[o] == '\0') {
       fprintf(stderr, "dem_c: %s: a wrong option or value\n", word[k]);

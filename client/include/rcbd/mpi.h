@@ -73,7 +73,7 @@ static inline int rcbd_mpi_agree_(MPI_Comm comm, int code) {
 /* ---- scene ---- */
 
 /* Of all processes: rcbd_scene_open() with seat and seats from the communicator, the others after process 0, so that
-   `replace` needs no more care. A scene has at most 1,024 seats: docs/coupling.md says what larger jobs do. */
+   `replace` needs no more care. More than 1,024 processes are refused: docs/coupling.md says what larger jobs do. */
 static inline int rcbd_mpi_scene_open(MPI_Comm comm, rcbd_client* client, const char* name,
                                       const rcbd_scene_options* options, rcbd_scene** scene) {
   rcbd_scene_options mine = RCBD_SCENE_OPTIONS;
@@ -86,6 +86,9 @@ static inline int rcbd_mpi_scene_open(MPI_Comm comm, rcbd_client* client, const 
   else
     *scene = NULL;
   if (code == RCBD_OK && client == NULL) code = rcbd_mpi_fail_library_(RCBD_UNAVAILABLE, "no client: a null handle");
+  if (code == RCBD_OK && mine.seats > RCBD_MPI_SEATS_MAX)
+    code = rcbd_mpi_fail_count_(RCBD_TOO_LARGE, "more processes than a scene may have seats", mine.seats,
+                                "let one process of each node open it: docs/coupling.md");
   for (turn = 0; turn < 2; ++turn) {
     if (code == RCBD_OK && (mine.seat == 0) == (turn == 0)) {
       code = rcbd_scene_open(client, name, &mine, scene);
@@ -322,30 +325,30 @@ static inline int rcbd_mpi_forward(rcbd_mpi_halo* halo, int64_t rows, const rcbd
 }
 
 /* Sums of integers wrap around. */
-#define RCBD_MPI_ADD_(T, U)                                 \
-  do {                                                      \
-    T* to = (T*)data;                                       \
-    const T* from = (const T*)(const void*)routes->buffer;  \
-    for (k = 0; k < entries; ++k)                           \
-      for (c = 0; c < columns; ++c) {                       \
-        const int64_t at = routes->row[k] * columns + c;    \
-        to[at] = (T)((U)to[at] + (U)from[k * columns + c]); \
-      }                                                     \
-    return RCBD_OK;                                         \
-  } while (0)
+#define RCBD_MPI_ADD_(T, U)                                                            \
+  for (k = 0; k < routes->out[routes->size]; ++k)                                      \
+    for (c = 0; c < columns; ++c) {                                                    \
+      T* to = (T*)data + routes->row[k] * columns + c;                                 \
+      *to = (T)((U)*to + (U)((const T*)(const void*)routes->buffer)[k * columns + c]); \
+    }
 
-static inline int rcbd_mpi_add_(const rcbd_mpi_routes_* routes, void* data, MPI_Datatype type, int32_t columns) {
-  const int64_t entries = routes->out[routes->size];
+static inline void rcbd_mpi_add_(const rcbd_mpi_routes_* routes, void* data, char kind, int32_t columns) {
   int64_t k;
   int32_t c;
-  if (type == MPI_DOUBLE) RCBD_MPI_ADD_(double, double);
-  if (type == MPI_FLOAT) RCBD_MPI_ADD_(float, float);
-  if (type == MPI_INT32_T || type == MPI_INT) RCBD_MPI_ADD_(int32_t, uint32_t);
-  if (type == MPI_INT64_T || type == MPI_LONG_LONG || (type == MPI_LONG && sizeof(long) == 8))
-    RCBD_MPI_ADD_(int64_t, uint64_t);
-  return rcbd_mpi_fail_(RCBD_UNSUPPORTED, "ghosts are added in arrays of int32, int64, float and double alone", "");
+  if (kind == 'd') RCBD_MPI_ADD_(double, double)
+  if (kind == 'f') RCBD_MPI_ADD_(float, float)
+  if (kind == 'i') RCBD_MPI_ADD_(int32_t, uint32_t)
+  if (kind == 'l') RCBD_MPI_ADD_(int64_t, uint64_t)
 }
 #undef RCBD_MPI_ADD_
+
+/* As rcbd_mpi_add_() takes it; 0: it doesn't. */
+static inline char rcbd_mpi_kind_(MPI_Datatype type) {
+  if (type == MPI_DOUBLE) return 'd';
+  if (type == MPI_FLOAT) return 'f';
+  if (type == MPI_INT32_T || type == MPI_INT) return 'i';
+  return type == MPI_INT64_T || type == MPI_LONG_LONG || (type == MPI_LONG && sizeof(long) == 8) ? 'l' : 0;
+}
 
 /* Adds the ghosts' rows of an array of MPI_DOUBLE, MPI_FLOAT, MPI_INT32_T or MPI_INT64_T to those of their owners,
    always in the same order: by the ghosts' process, then by the owner's row. The ghosts' rows stay as they are. */
@@ -356,6 +359,8 @@ static inline int rcbd_mpi_reverse_add(rcbd_mpi_halo* halo, int64_t rows, const 
   if (halo == NULL) return rcbd_mpi_fail_(RCBD_INVALID_ARGUMENT, "no halo: a null pointer", "");
   routes = &halo->routes_;
   code = rcbd_mpi_check_halo_(halo, rows, field, 1);
+  if (code == RCBD_OK && !rcbd_mpi_kind_(field->type))
+    code = rcbd_mpi_fail_(RCBD_UNSUPPORTED, "rows are added of int32, int64, float and double alone", "");
   if (code != RCBD_OK) return code;
   rcbd_mpi_make_lanes_(field, 1, &lane);
   code = rcbd_mpi_reserve_(routes, (size_t)routes->out[routes->size] * lane.bytes);
@@ -365,7 +370,8 @@ static inline int rcbd_mpi_reverse_add(rcbd_mpi_halo* halo, int64_t rows, const 
     code = rcbd_mpi_transfer_(routes, routes->in, routes->out, &lane, 1);
   }
   rcbd_mpi_free_lanes_(&lane, 1);
-  return code == RCBD_OK ? rcbd_mpi_add_(routes, field->data, field->type, field->columns) : code;
+  if (code == RCBD_OK) rcbd_mpi_add_(routes, field->data, rcbd_mpi_kind_(field->type), field->columns);
+  return code;
 }
 
 #endif

@@ -16,6 +16,9 @@
 #ifndef RCBD_MPI_COUNT_MAX
 #define RCBD_MPI_COUNT_MAX INT_MAX /* what the counts of MPI can say */
 #endif
+#ifndef RCBD_MPI_SEATS_MAX
+#define RCBD_MPI_SEATS_MAX 1024 /* of a scene */
+#endif
 #define RCBD_MPI_FIELDS_MAX 16 /* of one call */
 
 /* ---- failures ---- */

@@ -131,6 +131,10 @@ int main(int count, char** word) {
   rcbd_mpi_moves* moves;
   begin(&count, &word);
   well(rcbd_connect(word[1], NULL, &client));
+#if RCBD_MPI_SEATS_MAX < 2
+  failed(rcbd_mpi_scene_open(MPI_COMM_WORLD, client, "failures", NULL, &s.scene), RCBD_TOO_LARGE, 0, "seats: 2");
+  return MPI_Finalize();
+#endif
   make_scene(&s, client, 1); /* one process has all */
   result = step_scene(&s);
 #if RCBD_MPI_COUNT_MAX < 10
