@@ -11,13 +11,17 @@ from ._library import Error, Handle, Positions, packing
 
 F8, F4 = np.dtype(np.float64), np.dtype(np.float32)
 I8, I4 = np.dtype(np.int64), np.dtype(np.int32)
+_any_bytes: Any = ctypes.c_char.from_buffer
 _pack_positions = packing(Positions).pack
 _SIZE = ctypes.sizeof(Positions)
 _EXACT = 2**53  # integers up to this are exact as float64
 
 
 def address(array: NDArray[Any]) -> int:
-    return array.ctypes.data
+    try:
+        return ctypes.addressof(_any_bytes(array))  # a fifth of the time of the other way
+    except (TypeError, ValueError, BufferError):  # empty, read-only or not contiguous
+        return array.ctypes.data
 
 
 def _plain(values: ArrayLike, what: str) -> NDArray[Any]:
@@ -56,7 +60,7 @@ def positions_of(array: NDArray[Any]) -> bytes:
     """The struct that says where the rows of a positions_array() are. The array is to be kept until the call is over."""
     count, dims = array.shape
     stride, across = array.strides
-    first, size = array.ctypes.data, array.itemsize
+    first, size = address(array), array.itemsize
     return _pack_positions(_SIZE, count, stride // size if count > 1 else 1, dims, size == 4, first,
                            first + across if dims > 1 else 0, first + 2 * across if dims > 2 else 0)
 

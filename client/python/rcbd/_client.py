@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from ctypes import byref, c_int64
+from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Optional, Type, TypeVar
 
@@ -12,7 +13,7 @@ from . import _arrays as arrays
 from ._cuts import Cuts
 from ._library import ConnectOptions, Error, Handle, Positions, SceneOptions, check, lib
 from ._step import Ask, Op, Step, begin, make
-from ._waiting import interruptible, log_notices
+from ._waiting import QUICK_SECONDS, interruptible, log_notices
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -223,10 +224,12 @@ class Scene(_Closing):
         ask = Ask(xyz, ids, weights, step, inserted, removed, step_seconds, want_parts, want_changed, send, threads,
                   deadline_seconds)
         self._cuts_known = want_parts or want_changed  # with either the library has the cuts after each step
+        began = monotonic()
         try:
             return make(self._handle, self._client, ask)
         finally:
-            log_notices(self._client)
+            if monotonic() - began > QUICK_SECONDS:
+                log_notices(self._client)
 
     def step_begin(self, xyz: ArrayLike, ids: Optional[ArrayLike] = None, weights: Optional[ArrayLike] = None, *,
                    step: Optional[int] = None, inserted: int = 0, removed: int = 0,

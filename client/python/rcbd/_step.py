@@ -4,8 +4,7 @@ from __future__ import annotations
 import ctypes
 import struct
 from ctypes import byref, c_int64, c_void_p
-from math import isnan
-from typing import Any, NamedTuple, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Callable, NamedTuple, Optional, Tuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,88 +19,82 @@ _OPTIONS_SIZE = ctypes.sizeof(StepOptions)
 _NO_REPORT = bytes(library.Report())  # quicker to copy than to make
 
 
-class Report:
+def _field(name: str, kind: Callable[[Any], Any], meaning: str) -> Any:
+    raw = getattr(library.Report, name)
+    return property(lambda report: kind(raw.__get__(report)), doc=meaning)
+
+
+def _known(told: float) -> Optional[float]:
+    return told if told >= 0 else None  # NaN, or below 0
+
+
+def _text(told: Any) -> str:
+    return str(told, errors="replace")
+
+
+class Report(library.Report):
     """What the service tells of a step. Times are in seconds.
 
     Attributes:
         step: its number.
         epoch: rises whenever there are new cuts.
         n: particles, of all seats.
-        error_before: when the positions arrived; None in the first step.
         error: the largest abs(load - target) / target, now.
         imbalance: the largest load / target, now.
-        drifted: particles that moved across a cut since the last step; None: not known.
         moved: particles whose part new cuts changed.
         migrated: of these, those that changed the service's rank.
         inserted, removed: particles.
         strangers: particles that were outside their seat's parts.
         weights_as_zero: particles whose weight is too far below the greatest one to count.
-        positions_step: the step whose positions the ranks hold; None: none.
         bytes: that travelled.
         scanned, searched, rounds, reductions: the work of the service.
         seconds_receive, seconds_exchange, seconds_search, seconds_migrate, seconds_total: its time.
         parts: how many parts there are after the step.
         axes_flipped: cuts that changed their axis.
-        repartitioned: there are new cuts.
-        sent: positions travelled in this step.
-        reason: of the decision, in words.
-        way: "count", "shared-memory", "sockets" or "endpoint".
-        json: the whole report, as the service sent it.
     """
 
-    step: int
-    epoch: int
-    n: int
-    error_before: Optional[float]
-    error: float
-    imbalance: float
-    drifted: Optional[int]
-    moved: int
-    migrated: int
-    inserted: int
-    removed: int
-    strangers: int
-    weights_as_zero: int
-    positions_step: Optional[int]
-    bytes: int
-    scanned: int
-    searched: int
-    rounds: int
-    reductions: int
-    seconds_receive: float
-    seconds_exchange: float
-    seconds_search: float
-    seconds_migrate: float
-    seconds_total: float
-    parts: int
-    axes_flipped: int
-    repartitioned: bool
-    sent: bool
-    reason: str
-    way: str
-    json: str
-
-    def __init__(self, result: Handle) -> None:
-        told = library.Report.from_buffer_copy(_NO_REPORT)
-        check(lib.rcbd_result_report(result.pointer, byref(told)))
-        self._told, self._result = told, result
-
-    def __getattr__(self, name: str) -> Any:
-        """A field that is asked for the first time: of 30 most programs read two or three."""
-        if name not in Report.__annotations__:
-            raise AttributeError(f"a report has no {name!r}")
-        value = getattr(self._told, name)
-        if name in ("reason", "way", "json"):
-            value = value.decode(errors="replace")
-        elif name in ("repartitioned", "sent"):
-            value = bool(value)
-        elif (name in ("drifted", "positions_step") and value < 0) or (name == "error_before" and isnan(value)):
-            value = None
-        self.__dict__[name] = value
-        return value
+    if TYPE_CHECKING:  # otherwise the fields of the C struct
+        step: int
+        epoch: int
+        n: int
+        error: float
+        imbalance: float
+        moved: int
+        migrated: int
+        inserted: int
+        removed: int
+        strangers: int
+        weights_as_zero: int
+        bytes: int
+        scanned: int
+        searched: int
+        rounds: int
+        reductions: int
+        seconds_receive: float
+        seconds_exchange: float
+        seconds_search: float
+        seconds_migrate: float
+        seconds_total: float
+        parts: int
+        axes_flipped: int
+    error_before: Optional[float] = _field("error_before", _known, "when the positions arrived; None in the first step")
+    drifted: Optional[int] = _field("drifted", _known, "particles that moved across a cut since the last step; None: not known")
+    positions_step: Optional[int] = _field("positions_step", _known, "whose positions the ranks hold; None: no step's")
+    repartitioned: bool = _field("repartitioned", bool, "there are new cuts")
+    sent: bool = _field("sent", bool, "positions travelled in this step")
+    reason: str = _field("reason", _text, "of the decision, in words")
+    way: str = _field("way", _text, "\"count\", \"shared-memory\", \"sockets\" or \"endpoint\"")
+    json: str = _field("json", _text, "the whole report, as the service sent it")
 
     def __repr__(self) -> str:
-        return f"Report({', '.join(f'{name}={getattr(self, name)!r}' for name in Report.__annotations__)})"
+        return f"Report({', '.join(f'{name}={getattr(self, name)!r}' for name, *_ in library.Report._fields_[1:])})"
+
+
+def _report_of(result: Handle) -> Report:
+    told = Report.from_buffer_copy(_NO_REPORT)
+    check(lib.rcbd_result_report(result.pointer, byref(told)))
+    told._result = result  # whose texts it has
+    return told
 
 
 class Leaving(NamedTuple):
@@ -141,7 +134,7 @@ class Step:
     def report(self) -> Report:
         """What the service tells of the step."""
         if self._report is None:
-            self._report = Report(self._handle)
+            self._report = _report_of(self._handle)
         return self._report
 
     @property

@@ -11,6 +11,7 @@ from typing import Any, Callable, List, Optional, TypeVar
 from ._library import Handle, lib
 
 SLICE_SECONDS = 0.1  # how long a wait may keep Python from running signal handlers
+QUICK_SECONDS = 0.0005  # a call that takes less has waited for nothing, so there is nothing to tell
 _log = logging.getLogger("rcbd")
 _T = TypeVar("_T")
 
