@@ -1,12 +1,10 @@
 """What cmake --install puts into a prefix, after the prefix was moved: programs, CMake package, pkg-config, Python, pages."""
 import glob
 import gzip
-import re
 import shlex
 
-from support import *
+from pages import *
 
-ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
 BUILD = os.path.abspath(os.path.join(BIN, ".."))
 PROJECT = os.path.join(ROOT, "tests", "installed")
 
@@ -88,6 +86,15 @@ class Install(unittest.TestCase):
         code = "import rcbd, importlib.metadata; print(rcbd.__file__, importlib.metadata.version('rcbd'))"
         said = self.output("/usr/bin/python3", "-c", code, env={"PYTHONPATH": folder[0]})
         self.assertTrue(said.startswith(self.prefix), said)
+
+    def test_the_first_array_of_the_page(self):
+        block, = blocks_for(__file__)
+        settings = {**self.environment, "PYTHONPATH": os.path.join(self.prefix, "lib", "python3", "dist-packages")}
+        for _, line in commands(block.text):
+            words = line.replace("/usr/share", os.path.join(self.prefix, "share").replace(" ", "\\ "))
+            run("-c", words, program="sh", endpoint=f"unix:{self.dir}/first", cwd=self.dir, check=True,
+                env={**settings, "XDG_STATE_HOME": self.dir})
+        self.assertIn("<svg", text_of(self.dir, "first.svg"))
 
     def test_the_module_file(self):
         module = shutil.which("modulecmd", path=os.environ["PATH"] + ":/usr/lib/x86_64-linux-gnu")

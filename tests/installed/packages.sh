@@ -53,11 +53,10 @@ mkdir page
     eval "$command"
     mv a.out "../build/serial_${command%% *}"
   done <commands
-  { printf 'cmake_minimum_required(VERSION 3.13)\nproject(page C CXX Fortran)\nadd_executable(solver solver.f90)\n'
-    snippet docs/install.md '^\*\*CMake'; } >CMakeLists.txt
+  { echo 'cmake_minimum_required(VERSION 3.13)' && snippet docs/install.md '^\*\*CMake'; } >CMakeLists.txt
   quietly cmake -S . -B build
   quietly cmake --build build
-  cp build/solver ../build/serial_page
+  for program in build/solver_?; do cp "$program" "../build/serial_page_${program: -1}"; done
 )
 for program in build/serial_*; do "$program" >"$program.said"; done
 python3 $docs/examples/python/serial.py >build/python.said
