@@ -19,9 +19,10 @@
 !
 ! Rows count from 1. Parts, seats and steps count from 0, and arrays by part have the lower bound 0.
 !
-! Positions are x(dims, n) or an array an axis: scene%step(x, y, z, ...); real32 or real64. No copy is made of sections,
-! x(:, 1:n:2) or atoms%x, but where the step from row to row is negative or differs from axis to axis. ids are int64, or
-! ids4= int32, which are copied. Integers without a kind here are default integers.
+! Positions are x(dims, n) or an array an axis: scene%step(x, y, z, ...); real32 or real64. Sections such as x(:, 1:n:2) are
+! read where they are; a copy is made of those that step backwards, where the step differs from axis to axis, and, by some
+! compilers, of components of arrays (atoms%x). ids are int64, or ids4= int32, which are copied. Weights are real64.
+! Integers without a kind here are default integers.
 !
 ! What steps and questions tell is copied into allocatable components and arguments: it's yours.
 !
@@ -1201,7 +1202,8 @@ contains
     call make_step(self, rows, result, ids, ids4, weights, options, stat, errmsg)
   end subroutine
 
-  ! The arrays are read until wait() says that the step is done: let them have the attributes `target` and `asynchronous`.
+  ! The arrays are read until wait() says that the step is done. So let them have the attributes `target` and `asynchronous`,
+  ! and pass them whole or as x(:, i:j:k): of other sections and of expressions the compiler gives a copy, which is gone then.
   subroutine begin_r8(self, x, op, ids, weights, options, stat, errmsg)
     class(rcbd_scene), intent(in) :: self
     real(real64), intent(in), asynchronous, target :: x(:, :)
