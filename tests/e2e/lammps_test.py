@@ -114,6 +114,20 @@ class Lammps(ServiceTest):
         self.assertEqual(done.returncode, 1, done.stderr)
         self.assertRegex(done.stderr, r"rcbd, on process \d: .*(missing|fewer|particles)")
 
+    def test_the_page(self):
+        """Its session, shorter."""
+        session = re.search(r"```\n(.*?)```", text_of(ROOT, "docs", "lammps.md"), re.S)[1].splitlines()
+        commands = [line[2:].partition("#")[0].split() for line in session if line.startswith("$ ")]
+        self.assertEqual([words[0] for words in commands], ["apt-get", "rcbctl", "mpirun", "rcbctl"])
+        _, _, processes, _, *words = commands[2]
+        self.assertEqual(words, ["watch.py", "in.block", "1000", "100"])
+        done = self.lammps(processes, *(os.path.join(EXAMPLES, word) for word in words[:2]), 50, 50, check=True)
+        told = [line for line in done.stdout.splitlines() if line.startswith("time step 0:")]
+        self.assertEqual(told, [line for line in session if line.startswith("time step 0:")])
+        self.service.ctl(*commands[3][1:-1], os.path.join(self.dir, commands[3][-1]), check=True)
+        needed = run("--tests", "--list", program=os.path.join(ROOT, "deploy", "dependencies"), check=True).stdout.split()
+        self.assertLessEqual(set(commands[0][2:]), set(needed))
+
     def test_the_table(self):
         done = self.lammps(2, "-m", "mpi4py", os.path.join(EXAMPLES, "compare.py"), BLOCK, 200, 50, 1, check=True)
         rows = {name: [float(number) for number in numbers.split()] for name, numbers in
