@@ -29,16 +29,20 @@ string(REGEX REPLACE "[^/]+" ".." up_from_pkgconfig "${pkgconfig_dir}")
 configure_file("${from}/rcbd.pc.in" "${made}/rcbd.pc" @ONLY)
 install(FILES "${made}/rcbd.pc" DESTINATION "${pkgconfig_dir}" COMPONENT dev)
 
-if(NOT RCB_SERVICE)
-  return()
-endif()
-
 # ---- python ----
 file(GLOB python_files CONFIGURE_DEPENDS client/python/rcbd/*.py client/python/rcbd/*.pyi client/python/rcbd/py.typed)
 if(python_files)
   install(FILES ${python_files} DESTINATION "${RCB_PYTHON_DIR}/rcbd" COMPONENT python)
   configure_file("${from}/METADATA.in" "${made}/METADATA" @ONLY)  # by which pip knows that it is there
   install(FILES "${made}/METADATA" DESTINATION "${RCB_PYTHON_DIR}/rcbd-${PROJECT_VERSION}.dist-info" COMPONENT python)
+endif()
+
+# ---- examples ----
+install(DIRECTORY client/examples DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONENT runtime
+        PATTERN __pycache__ EXCLUDE)
+
+if(NOT RCB_SERVICE)
+  return()
 endif()
 
 # ---- runtime ----
@@ -75,8 +79,6 @@ install(FILES README.md CHANGELOG.md CONTRIBUTING.md DESTINATION "${CMAKE_INSTAL
 install(DIRECTORY docs "${made}/client" DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONENT runtime)
 install(FILES common/wire/PROTOCOL.md DESTINATION "${CMAKE_INSTALL_DOCDIR}/common/wire" COMPONENT runtime)
 install(DIRECTORY deploy/slurm deploy/container DESTINATION "${CMAKE_INSTALL_DOCDIR}/deploy" COMPONENT runtime)
-install(DIRECTORY client/examples DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONENT runtime
-        PATTERN __pycache__ EXCLUDE)
 
 if(RCB_DEBIAN)
   include(RcbDebian)

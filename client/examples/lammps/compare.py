@@ -80,6 +80,6 @@ def main(path, steps, every, pairs):
 
 if __name__ == "__main__":
     given = sys.argv[1:]
-    defaults = [os.path.join(os.path.dirname(os.path.abspath(__file__)), "in.block"), 2000, 100, 5]
+    defaults = [os.path.join(os.path.dirname(os.path.abspath(__file__)), "in.block"), 1000, 100, 5]
     path, *numbers = given + defaults[len(given):]
     main(path, *map(int, numbers))

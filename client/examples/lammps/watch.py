@@ -1,10 +1,9 @@
 """rcbd watches a run of LAMMPS, which keeps its own decomposition. INPUT sets all up, but has no `run` (docs/lammps.md):
        mpirun -n 4 python3 watch.py INPUT STEPS EVERY"""
-import math
 import sys
 
 import numpy as np
-import rcbd
+import rcbd.mpi
 from lammps import lammps
 from mpi4py import MPI
 
@@ -17,7 +16,7 @@ class Watch:
         if lmp.extract_setting("triclinic"):
             raise rcbd.Error("unsupported", "the box is triclinic", "parts are boxes along x, y and z: use an orthogonal box")
         self.lmp, self.comm, self.told, self.dims, self.failed = lmp, comm, told, lmp.extract_setting("dimension"), False
-        self.scene = rcbd.connect(name="LAMMPS").scene(scene, comm=comm, dims=self.dims, replace=True, **options)
+        self.scene = rcbd.mpi.connect(comm, name="LAMMPS").scene(scene, comm=comm, dims=self.dims, replace=True, **options)
         lmp.command(f"fix rcbd all external pf/callback {every} 1")
         lmp.set_fix_external_callback("rcbd", self.push)
 
@@ -26,14 +25,14 @@ class Watch:
         try:  # exceptions that are raised from here LAMMPS takes no notice of
             force[:] = 0
             lo, hi, *_, periodic, _ = self.lmp.extract_box()
-            lo, hi = np.where(periodic, lo, -math.inf), np.where(periodic, hi, math.inf)
+            lo, hi = np.where(periodic, lo, -np.inf), np.where(periodic, hi, np.inf)
             inside = rcbd.wrap(x[:, :self.dims].copy(), lo[:self.dims], hi[:self.dims])
             step = self.scene.step(inside, ids)
         except BaseException as failure:
             print(f"rcbd, on process {self.comm.rank}: {failure!s}", file=sys.stderr, flush=True)
             self.scene.close()  # so that no other process waits for this one
-        fullest = self.comm.allreduce(count if step else math.inf, MPI.MAX)
-        self.failed = fullest == math.inf
+        fullest = self.comm.allreduce(count if step else np.inf, MPI.MAX)
+        self.failed = fullest == np.inf
         if self.failed:
             self.lmp.force_timeout()  # on all processes: the run ends with this time step
         else:
@@ -48,10 +47,6 @@ def tell(time_step, ids, step, imbalance):
 if __name__ == "__main__":
     run = lammps()
     run.file(sys.argv[1])
-    try:
-        watch = Watch(run, MPI.COMM_WORLD, "lammps", sys.argv[3], tell, parts=MPI.COMM_WORLD.size)
-    except Exception as failure:
-        print(f"rcbd: {failure}", file=sys.stderr, flush=True)
-        MPI.COMM_WORLD.Abort(1)
+    watch = Watch(run, MPI.COMM_WORLD, "lammps", sys.argv[3], tell, parts=MPI.COMM_WORLD.size)
     run.command(f"run {sys.argv[2]}")
     sys.exit(watch.failed)
