@@ -128,21 +128,23 @@ void arrays() {
   EXPECT(small.axis(2)[3 * (kPoints - 1)] == 1 && large.axis()[0] == 2 && floats.axis(2)[kPoints - 1] == 3);
 }
 
-// The last holder of a scene lets go of it in the service, so that others may open it; no other holder does.
+// The last holder of a scene lets go of it in the service, so that others may make it anew; no other does.
 void last_holder() {
   const std::vector<double> xyz = points();
   const rcbd::Client client = rcbd::connect(endpoint()), other = rcbd::connect(endpoint());
-  rcbd::SceneOptions as_it_is;
-  as_it_is.deadline_seconds = 0.3;
+  rcbd::SceneOptions anew;
+  anew.parts = 8;
+  anew.replace = true;
+  anew.deadline_seconds = 0.3;
   rcbd::Scene scene = opened(client, "last_holder");
   rcbd::Op op = scene.step_begin(xyz);
   op.wait();
   { const rcbd::Scene copy = scene; }
-  EXPECT_ERROR(RCBD_BUSY, "'last_holder'", other.scene_open("last_holder", as_it_is));
+  EXPECT_ERROR(RCBD_BUSY, "'last_holder'", other.scene_open("last_holder", anew));
   scene = {};
-  EXPECT_ERROR(RCBD_BUSY, "'last_holder'", other.scene_open("last_holder", as_it_is));
+  EXPECT_ERROR(RCBD_BUSY, "'last_holder'", other.scene_open("last_holder", anew));
   op = {};  // which held the scene
-  EXPECT(other.scene_open("last_holder", as_it_is).last_step() == 0);
+  EXPECT(other.scene_open("last_holder", anew).last_step() == -1);
 }
 
 std::uint64_t hash_of(const rcbd::Scene& scene, const rcbd::Positions& positions) {
