@@ -989,7 +989,7 @@ contains
     integer, intent(out), optional :: stat
     character(*), intent(inout), optional :: errmsg
     type(c_ptr) :: at
-    if (bad(c_arrays_new(self%at, int(n, c_int64_t), 0, single, at), stat, errmsg)) return
+    if (bad(c_arrays_new(self%at, int(n, c_int64_t), 0_c_int, single, at), stat, errmsg)) return
     call hold(memory, at)
     to%size = c_sizeof(to)
     if (bad(c_arrays_positions(at, to), stat, errmsg)) return

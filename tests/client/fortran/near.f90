@@ -75,7 +75,7 @@ contains
     x4 = real(x, real32)
     x = x4
     call cuts%halo(x, near, halo)
-    call cuts%halo(x4, near, single, ids4=[(i, i = 0, n - 1)])
+    call cuts%halo(x4, near, single, ids4=[(int(i, int32), i = 0, n - 1)])
     call cuts%halo(x4(1, :), x4(2, :), x4(3, :), near, axes)
     call check(all(single%row == halo%row) .and. all(axes%row == halo%row), 'the same in single precision')
     call cuts%halo(x, near, seats, options=rcbd_ask_options(seats=2, widths=[(near%width, i = 1, n)]))
