@@ -9,6 +9,7 @@ import math
 import os
 import sys
 import traceback
+from contextlib import contextmanager
 
 import numpy as np
 from mpi4py import MPI
@@ -77,7 +78,7 @@ def forces(x, v, pairs):
 # ---- the coupling ----
 
 
-def push(comm, scene, side, x, v, ids, options):
+def push(comm, scene, side, x, v, ids):
     """Tells where my spheres are, and hands over those that leave. Returns what I have then, and the step's report."""
     with rcbd.mpi.together(comm):
         rcbd.wrap(x, 0, side)
@@ -122,31 +123,28 @@ def move_until_next_push(comm, cuts, side, x, v, ids, options):
 # ---- the trajectory: doubles [pushes][particles][3] ----
 
 
+@contextmanager
+def writing(comm, options):
+    with rcbd.mpi.together(comm):
+        try:
+            yield
+        except OSError as fault:
+            raise rcbd.Error("io_error", f"the trajectory {options.trajectory} can't be written: {fault.strerror}", "is there room?")
+
+
 def open_trajectory(comm, options):
-    for turn in (comm.rank == 0, True):  # the others open what process 0 has made
-        with rcbd.mpi.together(comm), told_as_failure(options):
-            if turn:
-                file = os.open(options.trajectory, os.O_RDWR | (os.O_CREAT if comm.rank == 0 else 0), 0o666)
-                os.truncate(file, 24 * options.particles * options.pushes)
-    return file
+    with writing(comm, options):
+        if comm.rank == 0:
+            with open(options.trajectory, "wb") as file:
+                file.truncate(24 * options.particles * options.pushes)
+    with writing(comm, options):  # the others open what process 0 has made
+        return os.open(options.trajectory, os.O_WRONLY)
 
 
 def write_trajectory(comm, file, before, x, ids, options):
-    with rcbd.mpi.together(comm), told_as_failure(options):
+    with writing(comm, options):
         for sphere, row in zip(ids.tolist(), x):
             os.pwrite(file, row.tobytes(), 24 * (before + sphere))
-
-
-class told_as_failure:
-    def __init__(self, options):
-        self.path = options.trajectory
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, kind, fault, trace):
-        if isinstance(fault, OSError):
-            raise rcbd.Error("io_error", f"the trajectory {self.path} can't be written: {fault.strerror}", "is there room?")
 
 
 # ---- the program ----
@@ -189,7 +187,7 @@ def run(comm, options):
     x, v = place(ids, sites)
     repartitioned = 0
     for k in range(options.pushes):
-        x, v, ids, report = push(comm, scene, side, x, v, ids, options)
+        x, v, ids, report = push(comm, scene, side, x, v, ids)
         repartitioned += report.repartitioned
         if file is not None:
             write_trajectory(comm, file, k * n, x, ids, options)

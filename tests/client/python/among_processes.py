@@ -7,8 +7,8 @@ from mpi4py import MPI
 import rcbd.mpi
 
 COMM = MPI.COMM_WORLD
-SEED, N, BOX = 4305, 900, (np.array([0, -np.inf, 0]), np.array([1, np.inf, 2]))
-LENGTH = np.array([1, 0, 2])
+SEED, N, BOX = 4305, 900, (np.array([0, -np.inf, 0]), np.array([1.1, np.inf, 2.3]))
+LENGTH = np.array([1.1, 0, 2.3])
 
 
 def raised(code, call):
@@ -107,7 +107,7 @@ def check_failures(scene, step, x, ids):
 
 
 def main():
-    all_x = np.random.default_rng(SEED).random((N, 3)) * [1, 1, 2]
+    all_x = np.random.default_rng(SEED).random((N, 3)) * [1.1, 1, 2.3]
     client = rcbd.mpi.connect(COMM)
     raised("not_found", lambda: client.scene("nowhere", comm=COMM))
     raised(("invalid_argument", "TypeError", "aborted"), lambda: client.scene("among", -1 if COMM.rank else "x", comm=COMM))
