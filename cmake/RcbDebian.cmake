@@ -52,7 +52,7 @@ function(rcb_package component name section)
 endfunction()
 
 # OpenSSL is asked for by name where a library opens it at run time, which dpkg-shlibdeps doesn't see.
-rcb_package(runtime rcbd science DEPENDS "openmpi-bin" RECOMMENDS "gnuplot-nox | gnuplot"
+rcb_package(runtime rcbd science DEPENDS "libssl3, openmpi-bin" RECOMMENDS "gnuplot-nox | gnuplot"
   SUGGESTS "librcbd-dev, python3-rcbd, slurm-client"
   DESCRIPTION "partitioning service for particle simulations
 The service rcbd divides the particles of a simulation into parts of equal load
