@@ -7,6 +7,9 @@ PROGRAMS = {"c": (".c", r"\bint main\("), "cpp": (".cpp", r"\bint main\("), "for
 SHELLS = ("console", "bash", "sh")
 KNOWN = (*PROGRAMS, *SHELLS, "python", "cmake", "json", "text")
 EXAMPLES = os.path.join(ROOT, "client", "examples")
+# What may be missing where tests run, by the words that need it, and what tells that it is there.
+OPTIONAL = {r"\blmp\b": ("lmp", "-h"), r"\bwatch\.py\b": ("python3", "-c", "import lammps, mpi4py"), r"\bmpi4py\b|\brcbd\.mpi\b":
+            ("python3", "-c", "import mpi4py"), r"(?i)\bfortran\b|\.f90\b": ("gfortran", "--version")}
 
 
 class Snippets(unittest.TestCase):
@@ -34,6 +37,9 @@ class Snippets(unittest.TestCase):
                 with tempfile.TemporaryDirectory(prefix="rcb-e2e-") as self.dir:
                     self.env = dict(self.settings, HOME=self.dir, XDG_RUNTIME_DIR=self.dir, XDG_STATE_HOME=self.dir)
                     self.files()
+                    for needs, (program, *words) in OPTIONAL.items():
+                        if re.search(needs, " ".join((one.language, one.text))) and not self.there(program, *words):
+                            self.skipTest(f"{program} {' '.join(words)} does not work here")
                     try:
                         if "rcbctl up" not in one.text:
                             self.said("rcbctl", "up", "-n", 2)
@@ -50,6 +56,7 @@ class Snippets(unittest.TestCase):
             np.save(os.path.join(self.dir, name + ".npy"), points)
         dump = "dump rcb all custom 100 jet.lammpstrj id x y z"
         write_text(os.path.join(self.dir, "in.jet"), lammps_melt(dump, cells=5, steps=500))
+        shutil.copytree(os.path.join(EXAMPLES, "lammps"), self.dir, dirs_exist_ok=True)
         for folder, _, names in os.walk(EXAMPLES):
             for name in names:
                 if name.startswith("serial."):
@@ -57,6 +64,9 @@ class Snippets(unittest.TestCase):
 
     def said(self, program, *words):
         return run(*words, program=program, cwd=self.dir, env=self.env, timeout=200, check=True).stdout
+
+    def there(self, program, *words):
+        return bool(shutil.which(program)) and run(*words, program="/usr/bin/" + program).returncode == 0
 
     def started(self, mpi, *words):
         return self.said(*(("mpirun", "--oversubscribe", "-n", 4) if mpi else ()), *words)
@@ -88,8 +98,6 @@ class Snippets(unittest.TestCase):
         self.assertLessEqual(len(not_run), NOT_RUN_MOST, "\n".join(not_run))
 
     def terminal(self, one):
-        if re.search(r"\blmp\b", one.text) and not shutil.which("lmp"):
-            self.skipTest("lmp, of Debian's package lammps, isn't installed")
         lines = [command for _, command in commands(one.text)] if one.language == "console" else [one.text]
         self.said("bash", "-c", "\n".join(["set -eo pipefail", *lines, "wait"]))
 
@@ -97,8 +105,6 @@ class Snippets(unittest.TestCase):
         """Without a main program it is only compiled."""
         ending, main = PROGRAMS[one.language]
         mpi = bool(re.search(r"\bmpi\.hp{0,2}\b|\buse mpi", one.text))
-        if one.language == "fortran" and not shutil.which("gfortran"):
-            self.skipTest("gfortran isn't installed")
         modules = [f"{self.prefix}/include/rcbd/{name}.f90" for name in ("rcbd", *(["rcbd_mpi"] if mpi else []))]
         compiler = {"c": ["mpicc" if mpi else "cc", "-std=c99"],
                     "cpp": ["mpicxx" if mpi else "c++", "-std=" + (*one.words, "c++14")[0]],
@@ -110,11 +116,8 @@ class Snippets(unittest.TestCase):
             self.started(mpi, "./block")
 
     def python(self, one):
-        mpi = "mpi" in one.text
-        if mpi and run("-c", "import mpi4py", program="/usr/bin/python3").returncode != 0:
-            self.skipTest("mpi4py isn't installed")
         write_text(os.path.join(self.dir, "block.py"), one.text)
-        self.started(mpi, "/usr/bin/python3", "block.py")
+        self.started("mpi" in one.text, "/usr/bin/python3", "block.py")
 
     def project(self, one):
         begin = "" if "project(" in one.text else "project(solver LANGUAGES C CXX)\n"
