@@ -44,7 +44,7 @@ class Fortran(FortranTest):
     def test_one_history_under_traps(self):
         self.one_history([self.program("history", *CHECKED, "-ffpe-trap=invalid,zero,overflow")])
 
-    def test_one_history_of_a_fast_program_with_long_kinds(self):
+    def test_one_history_fast_and_long(self):
         """Which flushes denormals, whose temporaries are on the stack, and whose default kinds are of 64 bits."""
         self.one_history([self.program("history", "-Ofast", *LONG)])
 

@@ -566,12 +566,12 @@ contains
 
   ! ---- positions ----
 
-  ! Elements from one row to the next; 0 where C can't go that way.
+  ! Elements from one row to the next; not above 0 where C can't go that way.
   integer(int64) function stride_of(first, second, bytes)
     type(c_ptr), intent(in) :: first, second
     integer, intent(in) :: bytes
     stride_of = address(second) - address(first)
-    if (stride_of < 0 .or. mod(stride_of, int(bytes, int64)) /= 0) stride_of = 0
+    if (mod(stride_of, int(bytes, int64)) /= 0) stride_of = 0
     stride_of = stride_of / bytes
   end function
 

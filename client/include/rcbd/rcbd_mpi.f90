@@ -125,15 +125,14 @@ contains
     errmsg = text
   end subroutine
 
-  ! Whether one of the processes has failed; tells it then.
+  ! Of all processes, which agree: whether this has failed; tells it then.
   logical function failed(comm, code, why, stat, errmsg)
     type(MPI_Comm), intent(in) :: comm
-    integer, intent(inout) :: code
-    character(*), intent(inout) :: why
+    integer, intent(in) :: code
+    character(*), intent(in) :: why
     integer, intent(out), optional :: stat
     character(*), intent(inout), optional :: errmsg
     integer(int32) :: rank
-    call rcbd_mpi_agree(comm, code, why)
     failed = code /= rcbd_ok
     if (present(stat)) stat = code
     if (.not. failed) return
@@ -207,6 +206,7 @@ contains
       code = rcbd_too_large
       why = 'more rows for one process than MPI can count; use more processes'
     end if
+    call rcbd_mpi_agree(comm, code, why)
     no_way = failed(comm, code, why, stat, errmsg)
     if (no_way) return
     allocate (coming(0:way%size - 1))

@@ -240,7 +240,8 @@ contains
     weights(6) = -1
     call scene%step(x, weights=weights, stat=stat, errmsg=why)
     call check(stat /= rcbd_ok .and. index(why, '5') > 0, 'a negative weight')
-    weights(6) = 1
+    weights(::2) = 1
+    weights(2::2) = -1
     call scene%step(x(:, ::2), weights=weights(::2))
   end subroutine
 

@@ -17,6 +17,7 @@ program mpi
   type(rcbd_mpi_halo) :: halo
   integer(int64), allocatable :: id(:)  ! of my rows: particle i has the id i - 1
   character(20) :: name
+  real(real64), allocatable :: lo(:, :), hi(:, :)
   integer :: k
   name = asked_for(['moves ', 'ghosts', 'wrong ', 'agreed'])
   if (name == '') stop
@@ -106,31 +107,29 @@ contains
     call check(halo%rows == size(id), 'rows')
   end subroutine
 
-  ! What is near the regions of my parts, but for my own particles where they are.
+  ! Whether an image is near the region of a part of mine.
+  logical function is_near(image)
+    real(real64), intent(in) :: image(3)
+    integer :: p
+    is_near = .false.
+    do p = 0, size(lo, 2) - 1
+      if (((p + 1) * processes - 1) / size(lo, 2) /= rank) cycle
+      if (maxval(max(lo(:, p) - image, image - hi(:, p))) <= near%width) is_near = .true.
+    end do
+  end function
+
+  ! The images that are, but for my own particles where they are.
   integer function needed()
-    real(real64), allocatable :: lo(:, :), hi(:, :)
-    integer :: i, p, a, b, c, seat
+    integer :: i, a, b, c
     integer(int32), allocatable :: part(:)
-    logical :: is_near
-    real(real64) :: image(3)
-    call cuts%regions(lo, hi)
     call cuts%owner(x, part)
-    lo = max(lo, 0._real64)
-    hi = min(hi, side)
     needed = 0
     do i = 1, n
-      seat = ((part(i) + 1) * processes - 1) / cuts%parts()
       do a = -1, 1
         do b = -1, 1
           do c = -1, 1
-            if (seat == rank .and. all([a, b, c] == 0)) cycle
-            image = x(:, i) + [a, b, c] * side
-            is_near = .false.
-            do p = 0, cuts%parts() - 1
-              if (((p + 1) * processes - 1) / cuts%parts() /= rank) cycle
-              if (maxval(max(lo(:, p) - image, image - hi(:, p))) <= near%width) is_near = .true.
-            end do
-            if (is_near) needed = needed + 1
+            if (((part(i) + 1) * processes - 1) / size(lo, 2) == rank .and. all([a, b, c] == 0)) cycle
+            if (is_near(x(:, i) + [a, b, c] * side)) needed = needed + 1
           end do
         end do
       end do
@@ -146,6 +145,9 @@ contains
     real(real64) :: shift(3)
     integer :: rows, total, i, j
     call make_plan()
+    call cuts%regions(lo, hi)
+    lo = max(lo, 0._real64)
+    hi = min(hi, side)
     rows = size(id)
     total = rows + int(halo%ghosts)
     call check(halo%ghosts == needed(), 'as many ghosts as brute force finds')
@@ -170,6 +172,7 @@ contains
         if (.not. abs(shift(j)) > 0) shift(j) = x(j, all_ids(i) + 1)
       end do
       call check(all(at(:, i) == shift) .and. all(axis(i, :) == shift), 'positions of ghosts')
+      call check(is_near(at(:, i)), 'ghosts are near')
       call check(all(velocity(:, i) == -x(:, all_ids(i) + 1)), 'velocities of ghosts')
       call check(all(abs(r42(:, i) - at(:, i)) < 1e-6), 'in single precision')
       do j = i + 1, total
