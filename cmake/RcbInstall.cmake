@@ -50,7 +50,7 @@ install(TARGETS rcbd rcbctl RUNTIME DESTINATION "${CMAKE_INSTALL_BINDIR}" COMPON
 install(TARGETS rcb_read_hdf5 slope two_spheres slope_mpi RUNTIME DESTINATION "${programs_dir}" COMPONENT runtime)
 
 find_package(Python3 COMPONENTS Interpreter)
-if(Python3_FOUND)
+if(Python3_FOUND AND NOT RCB_SANITIZE)  # whose findings in a library would end the build
   set(pages "${from}/pages.py")
   add_custom_command(OUTPUT "${made}/pages" DEPENDS rcbd rcbctl "${pages}" COMMENT "Man pages and completions"
     COMMAND "${Python3_EXECUTABLE}" "${pages}" "${made}/pages" $<TARGET_FILE:rcbctl> $<TARGET_FILE:rcbd>)
@@ -60,7 +60,7 @@ if(Python3_FOUND)
   install(FILES "${made}/pages/_rcbctl" DESTINATION "${RCB_ZSH_DIR}" COMPONENT runtime)
   install(FILES "${made}/pages/rcbctl.fish" DESTINATION "${CMAKE_INSTALL_DATADIR}/fish/vendor_completions.d" COMPONENT runtime)
 else()
-  message(STATUS "no Python 3: no man pages and completions are installed")
+  message(STATUS "no Python 3, or sanitizers: no man pages and completions are installed")
 endif()
 
 if(NOT RCB_DEBIAN)  # whose packages are found without
