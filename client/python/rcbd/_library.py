@@ -223,10 +223,9 @@ class Handle:
         """For the function that gives the handle: held from the moment when it is there."""
         return ctypes.byref(self.pointer)
 
-    def release(self, _release: Any = lib.rcbd_release) -> None:
+    def __del__(self, _release: Any = lib.rcbd_release) -> None:
         value, self.pointer.value = self.pointer.value, None
         if value:
             _release(value)
 
-    def __del__(self) -> None:
-        self.release()
+    release = __del__  # earlier than that

@@ -251,9 +251,10 @@ def begin(scene: Handle, client: Handle, ask: Ask) -> Op:
 def make(scene: Handle, client: Handle, ask: Ask) -> Step:
     result = Handle()
     code = watched(client, lib.rcbd_step, scene.pointer, ask.positions, ask.options, result.out())
-    if code is not None:
-        check(code)
+    if code == 0:
         return Step(result, len(ask.rows))
+    if code is not None:
+        raise error_of(code)
     op = begin(scene, client, ask)
     try:
         made = op.wait()
