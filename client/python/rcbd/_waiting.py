@@ -85,14 +85,15 @@ class _Watch:
 
 
 _watch: Optional[_Watch] = None
+_main_thread = threading.main_thread().ident
 
 
 def _forget_watch() -> None:
     """A forked child has no such thread, and the pipe is its parent's."""
-    global _watch
+    global _watch, _main_thread
     if _watch is not None:
         signal.set_wakeup_fd(-1)
-    _watch = None
+    _watch, _main_thread = None, threading.get_ident()
 
 
 os.register_at_fork(after_in_child=_forget_watch)
@@ -102,7 +103,7 @@ def watched(client: Handle, function: Callable[..., int], *arguments: Any) -> Op
     """Makes a call that waits, in this thread. None: it was not made, since this program has its own handler of Ctrl-C, or
     asks the system itself which signals come (asyncio does); then the caller waits in slices."""
     global _watch
-    if threading.get_ident() != threading.main_thread().ident:  # signals are the main thread's
+    if threading.get_ident() != _main_thread:  # signals are the main thread's
         return function(*arguments)
     if _getsignal(signal.SIGINT) is not signal.default_int_handler:
         return None
