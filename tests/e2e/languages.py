@@ -40,10 +40,10 @@ class LanguageTest(ServiceTest):
                 words = [self.service.endpoint, scene, raw, path.shape[1], path.shape[2], len(path), PARTS, positions, seat, seats,
                          *more]
                 started.append(subprocess.Popen([*program, *map(str, words)], stdout=subprocess.PIPE,
-                                                stderr=subprocess.PIPE, text=True))
-                if seat == 0:
-                    self.assertEqual(started[0].stdout.readline(), "made\n", started[0].stderr.read if started[0].poll() else "")
-            done = [one.communicate(timeout=120) for one in started]
+                                                stderr=subprocess.PIPE, bufsize=0))
+                if seat == 0:  # without a buffer, in which communicate() would not find what was read after this line
+                    self.assertEqual(started[0].stdout.readline(), b"made\n")
+            done = [[text.decode() for text in one.communicate(timeout=120)] for one in started]
         finally:
             for one in started:
                 with contextlib.suppress(ProcessLookupError):
