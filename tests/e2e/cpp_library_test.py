@@ -22,6 +22,12 @@ std::uint64_t uses(const rcbd::Client& client, std::vector<double>& xyz, std::ve
   scene.step(rcbd::Positions::axes({xyz.data(), xyz.data()}, 5, 2));
   std::int64_t sum = 0;
   for (std::int64_t row : scene.cuts().halo(xyz, {0.1}).items(3)) sum += row;
+  for (std::int64_t part : scene.cuts().neighbours(3, 0.1)[0]) sum += scene.cuts().halo(xyz, 0.1)[3][0] + part;
+  options.part_sizes.assign(xyz.begin(), xyz.end());
+  rcbd::View<double> view = rcbd::View<double>(xyz.data(), 3);
+  const auto parts = scene.step(view).parts();
+  rcbd::AskOptions ask;
+  ask.last_part = parts;
   for (std::int64_t row : scene.step(xyz).leaving().rows) sum += row;
 #if __cplusplus >= 202002L
   scene = client.scene_open("uses", {.parts = 8, .replace = true});
@@ -32,7 +38,8 @@ std::uint64_t uses(const rcbd::Client& client, std::vector<double>& xyz, std::ve
 }
 """
 # What would refer to a vector that is gone, or write where it may not.
-REFUSED = ("scene.step(std::vector<double>(3))", "options.ids = std::vector<std::int64_t>(3)", "rcbd::wrap(constant, {0}, {1})",
+REFUSED = ("scene.step(std::vector<double>(3))", "ask.last_part = scene.step(constant).parts()", "scene.step(std::array<double, 3>())",
+           "ask.widths = std::array<double, 3>()", "ask.ids = scene.step(constant).leaving().rows", "options.ids = std::vector<std::int64_t>(3)", "rcbd::wrap(constant, {0}, {1})",
            "scene.step(std::vector<int>(3))", "rcbd::Scene s = nullptr", "scene.arrays<int>(3)", "scene.step(whole)")
 # What the example of rcbd.hpp doesn't show.
 SOLVER = """
@@ -81,8 +88,9 @@ class CppLibrary(LanguageTest):
         function = """
 #include <rcbd/rcbd.hpp>
 void refused(rcbd::Scene& scene, rcbd::StepOptions& options, const std::vector<double>& constant, std::vector<long>& whole) {
+  rcbd::AskOptions ask;
   LINE;
-  (void)scene, (void)options, (void)constant, (void)whole;
+  (void)ask, (void)scene, (void)options, (void)constant, (void)whole;
 }
 """
         words = ("-std=c++14", "-I", INCLUDE, "-fsyntax-only", "-x", "c++", "-")

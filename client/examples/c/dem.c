@@ -4,8 +4,9 @@
 
      mpicc -O2 -ffp-contract=off dem.c -o dem_c -lrcbd -lm
 
-   All bits are the same on any number of processes: a contact is computed once, by the process that has the sphere of
-   the lower id, by + - * / and sqrt alone, which must not be contracted, and forces are summed as integers. */
+   The spheres move the same on any number of processes, to the bit: a contact is computed once, by the process that has
+   the sphere of the lower id, by + - * / and sqrt alone, which must not be contracted, and forces are summed as
+   integers. The cuts are the same, too, with the same --parts (default: the number of processes). */
 #include <inttypes.h>
 #include <math.h>
 #include <rcbd/mpi.h>
@@ -122,22 +123,14 @@ static const char* positions = "every-step";
 static MPI_Comm comm;
 static int rank, size;
 
-/* Of all processes together. */
+/* Of all processes together, or of one that the others can't go on without. */
 static void end(const char* message, const char* hint) {
-  if (rank == 0) fprintf(stderr, "dem_c: %s; %s\n", message, hint);
-  MPI_Finalize();
-  exit(1);
-}
-
-/* What fails for all processes if it does for one, and what may fail here alone. */
-static void all_must(int code) {
-  if (code) end(rcbd_mpi_message(), rcbd_mpi_hint());
+  fprintf(stderr, "dem_c: %s; %s\n", message, hint);
+  MPI_Abort(comm, 1);
 }
 
 static void must(int code) {
-  if (code == RCBD_OK) return;
-  fprintf(stderr, "dem_c: %s; %s\n", rcbd_mpi_message(), rcbd_mpi_hint());
-  MPI_Abort(comm, 1);
+  if (code != RCBD_OK) end(rcbd_mpi_message(), rcbd_mpi_hint());
 }
 
 static rcbd_mpi_field field(void* data, MPI_Datatype type, int32_t columns) {
@@ -149,14 +142,14 @@ static rcbd_mpi_field field(void* data, MPI_Datatype type, int32_t columns) {
 static int push(rcbd_scene* scene, const double* lo, const double* hi) {
   const rcbd_positions x = rcbd_rows(s.x, s.n, 3);
   const int code = rcbd_wrap(&x, lo, hi);
-  all_must(rcbd_mpi_agree(comm, code, rcbd_message(), rcbd_hint()));
+  must(rcbd_mpi_agree(comm, code, rcbd_message(), rcbd_hint()));
   rcbd_step_options step = RCBD_STEP_OPTIONS;
   rcbd_report report = RCBD_REPORT;
   rcbd_result* result;
   rcbd_mpi_moves* moves;
   step.ids = s.id;
-  if (rcbd_step(scene, &x, &step, &result)) rcbd_close(scene); /* so that no other process waits for this one */
-  all_must(rcbd_mpi_moves_new(comm, result, s.n, &moves));     /* NULL: the step has failed, which all are told */
+  must(rcbd_mpi_step(comm, scene, &x, &step, &result));
+  must(rcbd_mpi_moves_new(comm, result, s.n, &moves));
   make_room(moves->rows);
   const rcbd_mpi_field fields[] = {field(s.id, MPI_INT64_T, 1), field(s.x, MPI_DOUBLE, 3), field(s.v, MPI_DOUBLE, 3)};
   must(rcbd_mpi_move(moves, fields, 3));
@@ -178,7 +171,7 @@ static rcbd_mpi_halo* make_halo(rcbd_scene* scene, const double* lo, const doubl
   rcbd_mpi_halo* halo;
   ask.ids = s.id;
   rcbd_scene_cuts(scene, &cuts); /* NULL where it fails */
-  all_must(rcbd_mpi_halo_new(comm, cuts, &x, &near, &ask, &halo));
+  must(rcbd_mpi_halo_new(comm, cuts, &x, &near, &ask, &halo));
   rcbd_cuts_describe(cuts, info);
   rcbd_release(cuts);
   s.ghosts = halo->ghosts;
@@ -214,30 +207,15 @@ static void move_until_next_push(rcbd_mpi_halo* halo) {
   }
 }
 
-/* ---- the trajectory: doubles [pushes][particles][3] ---- */
-
-static void written(int well) {
-  all_must(rcbd_mpi_agree(comm, well ? RCBD_OK : RCBD_IO_ERROR, "the trajectory can't be written", text[TRAJECTORY]));
-}
-
-static FILE* open_trajectory(void) {
-  FILE* file = NULL;
-  int well = 1;
-  if (text[TRAJECTORY] == NULL) return NULL;
-  if (rank == 0) well = (file = fopen(text[TRAJECTORY], "wb")) != NULL && fclose(file) == 0;
-  written(well); /* and only then do the others open it */
-  file = fopen(text[TRAJECTORY], "r+b");
-  written(file != NULL && setvbuf(file, NULL, _IONBF, 0) == 0);
-  return file;
-}
-
-static void write_trajectory(FILE* file, int64_t before) {
+/* Of doubles [pushes][particles][3] those of my spheres, after so many others. */
+static void write_trajectory(int64_t before) {
+  FILE* file = fopen(text[TRAJECTORY], "r+b");
   int64_t i;
-  int well = 1;
-  if (file == NULL) return;
+  int well = file != NULL && setvbuf(file, NULL, _IONBF, 0) == 0;
   for (i = 0; i < s.n && well; ++i)
     well = fseek(file, (long)(24 * (before + s.id[i])), SEEK_SET) == 0 && fwrite(s.x + 3 * i, 24, 1, file) == 1;
-  written(well);
+  if (file != NULL && fclose(file) != 0) well = 0;
+  must(rcbd_mpi_agree(comm, well ? RCBD_OK : RCBD_IO_ERROR, "the trajectory can't be written", text[TRAJECTORY]));
 }
 
 /* ---- the program ---- */
@@ -295,14 +273,17 @@ int main(int count, char** word) {
   options.tolerance = 0.05;
   options.positions = positions;
   options.replace = 1;
-  rcbd_connect(text[ENDPOINT], NULL, &client); /* NULL where it fails, which all are told by the next one */
-  all_must(rcbd_mpi_scene_open(comm, client, text[SCENE], &options, &scene));
-  FILE* trajectory = open_trajectory();
+  must(rcbd_mpi_connect(comm, text[ENDPOINT], NULL, &client));
+  must(rcbd_mpi_scene_open(comm, client, text[SCENE], &options, &scene));
+  if (rank == 0 && text[TRAJECTORY]) { /* empty, before the first push ends */
+    FILE* file = fopen(text[TRAJECTORY], "wb");
+    if (file != NULL) fclose(file);
+  }
   make_room(particles / size + 1);
   for (k = particles * rank / size; k < particles * (rank + 1) / size; ++k) place(k, sites);
   for (k = 0; k < pushes; ++k) {
     repartitioned += push(scene, lo, hi);
-    write_trajectory(trajectory, k * particles);
+    if (text[TRAJECTORY]) write_trajectory(k * particles);
     rcbd_mpi_halo* halo = make_halo(scene, lo, hi, &info);
     move_until_next_push(halo);
     rcbd_mpi_halo_free(halo);

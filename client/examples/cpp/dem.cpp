@@ -4,10 +4,12 @@
 //
 //   mpicxx -std=c++14 -O2 -ffp-contract=off dem.cpp -o dem_cpp -lrcbd
 //
-// All bits are the same on any number of processes: a contact is computed once, by the process that has the sphere of
-// the lower id, by + - * / and sqrt alone, which must not be contracted, and forces are summed as integers.
+// The spheres move the same on any number of processes, to the bit: a contact is computed once, by the process that has
+// the sphere of the lower id, by + - * / and sqrt alone, which must not be contracted, and forces are summed as
+// integers. The cuts are the same, too, with the same --parts (default: the number of processes).
 #include <cinttypes>
 #include <cmath>
+#include <fstream>
 
 #include <rcbd/mpi.hpp>
 
@@ -115,7 +117,7 @@ void check_reach(MPI_Comm comm, const Spheres& s, double reach) {
 
 // Pushes my spheres and hands over those that leave. Returns whether there are new cuts.
 bool push(MPI_Comm comm, const rcbd::Scene& scene, Spheres& s, const rcbd::Box& box) {
-  rcbd::mpi::together(comm, [&] { return rcbd::wrap(s.x, box.lo, box.hi), true; });
+  rcbd::mpi::together(comm, [&] { rcbd::wrap(s.x, box.lo, box.hi); });
   rcbd::StepOptions options;
   options.ids = s.id;
   const rcbd::Step step = rcbd::mpi::step(comm, scene, s.x, options);
@@ -125,7 +127,7 @@ bool push(MPI_Comm comm, const rcbd::Scene& scene, Spheres& s, const rcbd::Box& 
 }
 
 // From a push until the next one.
-void move_on(MPI_Comm comm, const rcbd::Cuts& cuts, Spheres& s, const Options& o, const rcbd::Box& box) {
+void move_on(MPI_Comm comm, const rcbd::Scene& scene, Spheres& s, const Options& o, const rcbd::Box& box) {
   const std::size_t mine = s.id.size();
   rcbd::Near near;
   // A sphere of another process and one of mine may both move by the reach, towards each other. The millionth more is
@@ -134,7 +136,7 @@ void move_on(MPI_Comm comm, const rcbd::Cuts& cuts, Spheres& s, const Options& o
   near.periodic = box;
   rcbd::AskOptions ask;
   ask.ids = s.id;
-  const rcbd::mpi::Halo halo(comm, cuts, s.x, near, ask);
+  const rcbd::mpi::Halo halo(comm, scene, s.x, near, ask);
   halo.forward(s.id);
   for (std::int64_t step = 0; step < o.push_every; ++step) {
     if (step > 0) check_reach(comm, s, o.reach);
@@ -148,37 +150,15 @@ void move_on(MPI_Comm comm, const rcbd::Cuts& cuts, Spheres& s, const Options& o
   s.v.resize(mine);
 }
 
-// Doubles [pushes][particles][3], to which each process writes those of its spheres.
-class Trajectory {
- public:
-  Trajectory(MPI_Comm comm, const std::string& path, int rank) : comm_(comm), path_(path), file_(nullptr, std::fclose) {
-    if (path.empty()) return;
-    if (rank == 0) file_.reset(std::fopen(path.c_str(), "wb"));
-    all_well(rank != 0 || file_);  // and only then do the others open it
-    file_.reset(std::fopen(path.c_str(), "r+b"));
-    all_well(file_ && std::setvbuf(file_.get(), nullptr, _IONBF, 0) == 0);
-  }
-  void write(const Spheres& s, std::int64_t before) {
-    if (path_.empty()) return;
-    bool well = true;
-    for (std::size_t i = 0; i < s.x.size() && well; ++i)
-      well = std::fseek(file_.get(), 24 * (before + s.id[i]), SEEK_SET) == 0 &&
-             std::fwrite(s.x[i].data(), 24, 1, file_.get()) == 1;
-    all_well(well);
-  }
-
- private:
-  void all_well(bool well) {
-    rcbd::mpi::together(comm_, [&] {
-      if (!well) throw rcbd::Error(RCBD_IO_ERROR, "the trajectory can't be written", path_);
-      return true;
-    });
-  }
-
-  MPI_Comm comm_;
-  std::string path_;
-  std::unique_ptr<std::FILE, int (*)(std::FILE*)> file_;
-};
+// Of doubles [pushes][particles][3] those of my spheres, after so many others.
+void write(MPI_Comm comm, const std::string& path, const Spheres& s, std::int64_t before) {
+  rcbd::mpi::together(comm, [&] {
+    std::fstream file(path, std::ios::in | std::ios::out | std::ios::binary);
+    for (std::size_t i = 0; i < s.x.size(); ++i)
+      file.seekp(24 * (before + s.id[i])).write(reinterpret_cast<const char*>(s.x[i].data()), 24);
+    if (!file.flush()) throw rcbd::Error(RCBD_IO_ERROR, "the trajectory can't be written", path);
+  });
+}
 
 void run(const Options& given, MPI_Comm comm) {
   Options o = given;
@@ -199,21 +179,19 @@ void run(const Options& given, MPI_Comm comm) {
   options.tolerance = 0.05;
   options.positions = o.positions;
   options.replace = true;
-  const rcbd::Client client = rcbd::mpi::together(comm, [&] { return rcbd::connect(o.endpoint); });
+  const rcbd::Client client = rcbd::mpi::connect(comm, o.endpoint);
   const rcbd::Scene scene = rcbd::mpi::scene_open(comm, client, o.scene, options);
-  Trajectory trajectory(comm, o.trajectory, rank);
+  if (rank == 0 && !o.trajectory.empty()) std::ofstream{o.trajectory};  // empty, before the first push ends
   Spheres s;
   for (std::int64_t id = o.particles * rank / size; id < o.particles * (rank + 1) / size; ++id) place(s, id, sites);
-  rcbd::Cuts cuts;
   for (std::int64_t k = 0; k < o.pushes; ++k) {
     repartitioned += push(comm, scene, s, box);
-    trajectory.write(s, k * o.particles);
-    cuts = rcbd::mpi::together(comm, [&] { return scene.cuts(); });
-    move_on(comm, cuts, s, o, box);
+    if (!o.trajectory.empty()) write(comm, o.trajectory, s, k * o.particles);
+    move_on(comm, scene, s, o, box);
   }
   if (rank == 0)
     std::printf("pushes %" PRId64 "\nrepartitioned %" PRId64 "\ncuts %016" PRIx64 "\n", o.pushes, repartitioned,
-                cuts.hash());
+                scene.cuts().hash());
 }
 
 [[noreturn]] void usage(std::FILE* to, int code) {
@@ -225,35 +203,36 @@ void run(const Options& given, MPI_Comm comm) {
   std::exit(code);
 }
 
-template <typename T>
-bool read(const char* text, T least, T& to) {
-  char* end = nullptr;
-  const double value = std::strtod(text, &end);
-  to = value >= -1e9 && value <= 1e9 ? static_cast<T>(value) : 0;
-  return *text != 0 && *end == 0 && static_cast<double>(to) == value && to >= least;
-}
-
 Options options_of(int count, char** words) {
   Options o;
   for (int k = 1; k < count; ++k) {
     const std::string name = words[k];
-    const char* value = k + 1 < count ? words[k + 1] : "";
     if (name == "--help") usage(stdout, 0);
-    if (name == "--when-needed") {
+    const std::string value = name != "--when-needed" && k + 1 < count ? words[++k] : "";
+    char* end = nullptr;
+    const double number = std::strtod(value.c_str(), &end);
+    const double real = *end == 0 && number >= 0 && number < 1e9 ? number : -1;
+    const auto whole = real == std::floor(real) ? static_cast<int>(real) : -1;
+    if (name == "--when-needed")
       o.positions = "when-needed";
-      continue;
-    }
-    ++k;
-    std::string* text = name == "--scene" ? &o.scene : name == "--endpoint" ? &o.endpoint : &o.trajectory;
-    bool well = *value != 0 && (name == "--scene" || name == "--endpoint" || name == "--trajectory");
-    if (well) *text = value;
-    if (name == "--particles") well = read<std::int64_t>(value, 1, o.particles);
-    if (name == "--pushes") well = read<std::int64_t>(value, 1, o.pushes);
-    if (name == "--push-every") well = read<std::int64_t>(value, 1, o.push_every);
-    if (name == "--parts") well = read(value, 0, o.parts);
-    if (name == "--reach") well = read(value, 1e-9, o.reach);
-    if (!well) {
-      std::fprintf(stderr, "dem_cpp: %s %s: a wrong option or value\n", name.c_str(), value);
+    else if (name == "--scene" && !value.empty())
+      o.scene = value;
+    else if (name == "--endpoint" && !value.empty())
+      o.endpoint = value;
+    else if (name == "--trajectory" && !value.empty())
+      o.trajectory = value;
+    else if (name == "--reach" && real >= 1e-9)
+      o.reach = real;
+    else if (name == "--parts" && whole >= 0 && !value.empty())
+      o.parts = whole;
+    else if (name == "--particles" && whole > 0)
+      o.particles = whole;
+    else if (name == "--pushes" && whole > 0)
+      o.pushes = whole;
+    else if (name == "--push-every" && whole > 0)
+      o.push_every = whole;
+    else {
+      std::fprintf(stderr, "dem_cpp: %s %s: a wrong option or value\n", name.c_str(), value.c_str());
       usage(stderr, 2);
     }
   }

@@ -31,6 +31,9 @@ class Handle {
 
 namespace detail {
 
+template <typename Number, typename Result>
+using IfNumber = std::enable_if_t<std::is_arithmetic<Number>::value, Result>;
+
 // What keeps arrays and texts valid. Moved, it is copied: so what it was moved from stays valid, too.
 class Holder {
  public:
@@ -98,6 +101,7 @@ class Lists : public Handle<rcbd_lists> {
     const rcbd_lists_view all = view();
     return {all.item + begin_of(all, k), begin_of(all, k + 1) - begin_of(all, k), shared()};
   }
+  Array<std::int64_t> operator[](std::size_t k) const { return items(k); }
   // [entries of list k][dims], by how many periods each is to be moved; empty where no axis is periodic.
   Array<std::int32_t> shifts(std::size_t k = 0) const {
     const rcbd_lists_view all = view();
@@ -169,10 +173,18 @@ class Cuts : public Handle<rcbd_cuts> {
     const rcbd_near distance = near_of(near);
     return ask_lists([&](rcbd_lists** to) { return rcbd_cuts_halo(get(), positions.get(), &distance, &ask, to); });
   }
+  template <typename Number>  // so that {0.1} is a Near still
+  detail::IfNumber<Number, Lists> halo(const Positions& positions, Number width, const AskOptions& options = {}) const {
+    return halo(positions, Near{static_cast<double>(width)}, options);
+  }
   // One list: the parts within the width.
   Lists neighbours(int part, const Near& near) const {
     const rcbd_near distance = near_of(near);
     return ask_lists([&](rcbd_lists** to) { return rcbd_cuts_neighbours(get(), part, &distance, to); });
+  }
+  template <typename Number>
+  detail::IfNumber<Number, Lists> neighbours(int part, Number width) const {
+    return neighbours(part, Near{static_cast<double>(width)});
   }
   // One list: the parts that touch [lo, hi].
   Lists box(const Point& lo, const Point& hi, const Box& periodic = {}) const {

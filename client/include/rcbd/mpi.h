@@ -2,10 +2,10 @@
    over after a step, and the halo. For C from C99 and C++ from C++14 on; of MPI 3 and librcbd alone. All of it is in
    this header: the library itself knows no MPI.
 
-     rcbd_connect(NULL, NULL, &client);
+     must(rcbd_mpi_connect(comm, NULL, NULL, &client));
      must(rcbd_mpi_scene_open(comm, client, "jet", &options, &scene));        // process k of M is seat k of M
 
-     rcbd_step(scene, &positions, &step, &result);                            // when lists are rebuilt
+     must(rcbd_mpi_step(comm, scene, &positions, &step, &result));            // when lists are rebuilt
      must(rcbd_mpi_moves_new(comm, result, n, &moves));
      grow(moves->rows);                                                       // to that many rows
      must(rcbd_mpi_move(moves, fields, 3));
@@ -44,25 +44,28 @@
 static inline const char* rcbd_mpi_message(void) { return rcbd_mpi_last_failure_.message; }
 static inline const char* rcbd_mpi_hint(void) { return rcbd_mpi_last_failure_.hint; }
 
-/* Of all processes: RCBD_OK where all have that code. Otherwise the code and text of the first process that has not. A
-   solver uses it where it finds something wrong itself, too, so that all end together. */
+/* Of all processes: RCBD_OK where all have that code. Otherwise the code and text of the first process that has not;
+   aborted and deadline_exceeded, which may follow from what failed on another one, come after all others. A solver uses
+   it where it finds something wrong itself, too, so that all end together. */
 static inline int rcbd_mpi_agree(MPI_Comm comm, int code, const char* message, const char* hint) {
   rcbd_mpi_failure_ told;
   int rank, size, mine, first, error;
   MPI_Comm_rank(comm, &rank);
   MPI_Comm_size(comm, &size);
-  mine = code == RCBD_OK ? size : rank;
+  mine = code == RCBD_ABORTED || code == RCBD_DEADLINE_EXCEEDED ? size + rank : rank;
+  if (code == RCBD_OK) mine = 2 * size;
   error = MPI_Allreduce(&mine, &first, 1, MPI_INT, MPI_MIN, comm);
   if (error != MPI_SUCCESS) return rcbd_mpi_fail_mpi_(error);
-  if (first == size) return RCBD_OK;
+  if (first == 2 * size) return RCBD_OK;
+  first %= size;
   memset(&told, 0, sizeof(told));
   if (first == rank) {
     snprintf(told.message, sizeof(told.message), "process %d: %.1000s", rank, message);
     snprintf(told.hint, sizeof(told.hint), "%s", hint);
   }
-  MPI_Bcast(&code, 1, MPI_INT, first, comm);
-  MPI_Bcast(told.message, (int)sizeof(told.message), MPI_CHAR, first, comm);
-  MPI_Bcast(told.hint, (int)sizeof(told.hint), MPI_CHAR, first, comm);
+  error = MPI_Bcast(&code, 1, MPI_INT, first, comm);
+  if (error == MPI_SUCCESS) error = MPI_Bcast(&told, (int)sizeof(told), MPI_CHAR, first, comm);
+  if (error != MPI_SUCCESS) return rcbd_mpi_fail_mpi_(error);
   return rcbd_mpi_fail_(code, told.message, told.hint);
 }
 
@@ -70,7 +73,20 @@ static inline int rcbd_mpi_agree_(MPI_Comm comm, int code) {
   return rcbd_mpi_agree(comm, code, rcbd_mpi_message(), rcbd_mpi_hint());
 }
 
-/* ---- scene ---- */
+/* ---- client, scene, step ---- */
+
+/* Of all processes: rcbd_connect(), each for itself. */
+static inline int rcbd_mpi_connect(MPI_Comm comm, const char* endpoint, const rcbd_connect_options* options,
+                                   rcbd_client** client) {
+  int code = rcbd_connect(endpoint, options, client);
+  if (code != RCBD_OK) rcbd_mpi_fail_library_(code, "");
+  code = rcbd_mpi_agree_(comm, code);
+  if (code != RCBD_OK && client != NULL) {
+    rcbd_release(*client);
+    *client = NULL;
+  }
+  return code;
+}
 
 /* Of all processes: rcbd_scene_open() with seat and seats from the communicator, the others after process 0, so that
    `replace` needs no more care. More than 1,024 processes are refused: docs/coupling.md says what larger jobs do. */
@@ -100,6 +116,23 @@ static inline int rcbd_mpi_scene_open(MPI_Comm comm, rcbd_client* client, const 
   if (code != RCBD_OK && scene != NULL) {
     rcbd_release(*scene);
     *scene = NULL;
+  }
+  return code;
+}
+
+/* Of all processes: rcbd_step(). Where it fails on one, that one closes its scene, so that the others don't wait for
+   its seat, and it fails for all. Then the scene is to be opened again. result: may be NULL. */
+static inline int rcbd_mpi_step(MPI_Comm comm, rcbd_scene* scene, const rcbd_positions* positions,
+                                const rcbd_step_options* options, rcbd_result** result) {
+  int code = rcbd_step(scene, positions, options, result);
+  if (code != RCBD_OK) {
+    rcbd_mpi_fail_library_(code, "");
+    rcbd_close(scene);
+  }
+  code = rcbd_mpi_agree_(comm, code);
+  if (code != RCBD_OK && result != NULL) {
+    rcbd_release(*result);
+    *result = NULL;
   }
   return code;
 }
@@ -156,14 +189,18 @@ static inline int rcbd_mpi_moves_make_(rcbd_mpi_moves* moves, MPI_Comm comm, rcb
 }
 
 /* Of all processes, after a step: which rows go where, and how many come. `rows`: how many this process has. NULL in
-   place of the result: the step has failed here. Then close the scene first (rcbd_close), for the others may be waiting
-   in the step for this seat. Free the moves when all arrays are moved. */
+   place of the result: a step by rcbd_step() has failed here. Then close the scene first, as rcbd_mpi_step() does. Free
+   the moves when all arrays are moved. */
 static inline int rcbd_mpi_moves_new(MPI_Comm comm, rcbd_result* result, int64_t rows, rcbd_mpi_moves** moves) {
   rcbd_mpi_moves* made = (rcbd_mpi_moves*)calloc(1, sizeof(rcbd_mpi_moves));
   int code;
-  *moves = NULL;
   if (made != NULL) made->before = rows;
-  code = rcbd_mpi_agree_(comm, rcbd_mpi_moves_make_(made, comm, result));
+  code = rcbd_mpi_moves_make_(made, comm, result);
+  if (moves == NULL)
+    code = rcbd_mpi_fail_(RCBD_INVALID_ARGUMENT, "no room for the moves: a null pointer", "");
+  else
+    *moves = NULL;
+  code = rcbd_mpi_agree_(comm, code);
   if (code == RCBD_OK) code = rcbd_mpi_tell_numbers_(&made->routes_);
   if (code != RCBD_OK) {
     rcbd_mpi_moves_free(made);
@@ -225,6 +262,8 @@ static inline int rcbd_mpi_halo_make_(rcbd_mpi_halo* halo, MPI_Comm comm, rcbd_c
   if (code == RCBD_OK) code = rcbd_cuts_halo(cuts, positions, near, &ask, &halo->lists_);
   if (code == RCBD_OK) code = rcbd_lists_read(halo->lists_, &view);
   if (code != RCBD_OK) return rcbd_mpi_fail_library_(code, "");
+  code = rcbd_mpi_check_owned_(&halo->routes_, cuts, info.parts, positions, &ask);
+  if (code != RCBD_OK) return code;
   halo->rows = positions->count;
   halo->dims = info.dims;
   halo->routes_.row = view.item;
@@ -260,13 +299,17 @@ static inline int rcbd_mpi_tell_shifts_(rcbd_mpi_halo* halo, const rcbd_near* ne
 }
 
 /* Of all processes, when lists are rebuilt: which rows the others need, by rcbd_cuts_halo() with these arguments (but
-   `seats` of the options), and how many ghosts come. The rows are those of a step whose moves are made. NULL in place
-   of the cuts: there are none here. A plan is good until the next step. */
+   `seats` of the options), and how many ghosts come. The rows are those of a step whose moves are made; those that
+   belong to others are refused. NULL in place of the cuts: there are none here. A plan is good until the next step. */
 static inline int rcbd_mpi_halo_new(MPI_Comm comm, rcbd_cuts* cuts, const rcbd_positions* positions,
                                     const rcbd_near* near, const rcbd_ask_options* options, rcbd_mpi_halo** halo) {
   rcbd_mpi_halo* made = (rcbd_mpi_halo*)calloc(1, sizeof(rcbd_mpi_halo));
-  int code = rcbd_mpi_agree_(comm, rcbd_mpi_halo_make_(made, comm, cuts, positions, near, options));
-  *halo = NULL;
+  int code = rcbd_mpi_halo_make_(made, comm, cuts, positions, near, options);
+  if (halo == NULL)
+    code = rcbd_mpi_fail_(RCBD_INVALID_ARGUMENT, "no room for the halo: a null pointer", "");
+  else
+    *halo = NULL;
+  code = rcbd_mpi_agree_(comm, code);
   if (code == RCBD_OK) code = rcbd_mpi_tell_numbers_(&made->routes_);
   if (code == RCBD_OK) {
     made->ghosts = made->routes_.in[made->routes_.size];
@@ -322,32 +365,6 @@ static inline int rcbd_mpi_forward(rcbd_mpi_halo* halo, int64_t rows, const rcbd
   for (k = 0; k < n && code == RCBD_OK; ++k)
     if (fields[k].positions) rcbd_mpi_shift_(halo, &fields[k]);
   return code;
-}
-
-/* Sums of integers wrap around. */
-#define RCBD_MPI_ADD_(T, U)                                                            \
-  for (k = 0; k < routes->out[routes->size]; ++k)                                      \
-    for (c = 0; c < columns; ++c) {                                                    \
-      T* to = (T*)data + routes->row[k] * columns + c;                                 \
-      *to = (T)((U)*to + (U)((const T*)(const void*)routes->buffer)[k * columns + c]); \
-    }
-
-static inline void rcbd_mpi_add_(const rcbd_mpi_routes_* routes, void* data, char kind, int32_t columns) {
-  int64_t k;
-  int32_t c;
-  if (kind == 'd') RCBD_MPI_ADD_(double, double)
-  if (kind == 'f') RCBD_MPI_ADD_(float, float)
-  if (kind == 'i') RCBD_MPI_ADD_(int32_t, uint32_t)
-  if (kind == 'l') RCBD_MPI_ADD_(int64_t, uint64_t)
-}
-#undef RCBD_MPI_ADD_
-
-/* As rcbd_mpi_add_() takes it; 0: it doesn't. */
-static inline char rcbd_mpi_kind_(MPI_Datatype type) {
-  if (type == MPI_DOUBLE) return 'd';
-  if (type == MPI_FLOAT) return 'f';
-  if (type == MPI_INT32_T || type == MPI_INT) return 'i';
-  return type == MPI_INT64_T || type == MPI_LONG_LONG || (type == MPI_LONG && sizeof(long) == 8) ? 'l' : 0;
 }
 
 /* Adds the ghosts' rows of an array of MPI_DOUBLE, MPI_FLOAT, MPI_INT32_T or MPI_INT64_T to those of their owners,

@@ -1,7 +1,7 @@
 // rcbd/mpi.hpp: what the processes of a solver send to each other, over the solver's own MPI, in C++14 and later:
 // rcbd/mpi.h with vectors and exceptions.
 //
-//   rcbd::Client client = rcbd::mpi::together(comm, [] { return rcbd::connect(); });
+//   rcbd::Client client = rcbd::mpi::connect(comm);
 //   rcbd::Scene scene = rcbd::mpi::scene_open(comm, client, "jet", options);      // process k of M is seat k of M
 //
 //   std::vector<std::int64_t> id;                                                 // the solver's particles
@@ -9,7 +9,7 @@
 //
 //   rcbd::Step step = rcbd::mpi::step(comm, scene, x, step_options);              // when lists are rebuilt
 //   rcbd::mpi::Moves(comm, step, id.size()).move(id, x, v);                       // which then have their new rows
-//   rcbd::mpi::Halo halo(comm, scene.cuts(), x, near, ask);
+//   rcbd::mpi::Halo halo(comm, scene, x, near, ask);
 //
 //   halo.forward(rcbd::mpi::positions(x), v);                                     // at each time step
 //   halo.reverse_add(f);
@@ -39,7 +39,7 @@ inline void check(int code) {
 }
 
 // Of all processes: calls work(), and returns what it does. Where it throws on one, all throw that one's error.
-template <typename Work>
+template <typename Work, std::enable_if_t<!std::is_void<decltype(std::declval<Work&>()())>::value, int> = 0>
 auto together(MPI_Comm comm, Work work) -> decltype(work()) {
   decltype(work()) done{};
   Error error(RCBD_OK, "");
@@ -49,9 +49,20 @@ auto together(MPI_Comm comm, Work work) -> decltype(work()) {
     error = thrown;
   } catch (const std::exception& thrown) {
     error = Error(RCBD_INTERNAL, thrown.what());
+  } catch (...) {
+    error = Error(RCBD_INTERNAL, "an exception that is no std::exception");
   }
   check(rcbd_mpi_agree(comm, error.code(), error.what(), error.hint().c_str()));
   return done;
+}
+template <typename Work, std::enable_if_t<std::is_void<decltype(std::declval<Work&>()())>::value, int> = 0>
+void together(MPI_Comm comm, Work work) {
+  together(comm, [&] { return work(), true; });
+}
+
+// Of all processes: rcbd::connect(), each for itself.
+inline Client connect(MPI_Comm comm, const std::string& endpoint = "", const ConnectOptions& options = {}) {
+  return together(comm, [&] { return rcbd::connect(endpoint, options); });
 }
 
 // Of all processes: Client::scene_open() with seat and seats from the communicator, the others after process 0.
@@ -62,16 +73,13 @@ inline Scene scene_open(MPI_Comm comm, const Client& client, const std::string& 
   return together(comm, [&] { return options.seat == 0 ? scene : client.scene_open(name, options); });
 }
 
-// Of all processes: Scene::step(). Where it fails on one, that one closes its scene, so that the others do not wait.
+// Of all processes: Scene::step(). Arrays of wrong lengths on one process are refused before any of them steps. Where
+// the step itself fails on one, that one closes its scene, so that the others don't wait for its seat: rcbd_mpi_step().
 inline Step step(MPI_Comm comm, const Scene& scene, const Positions& positions, const StepOptions& options = {}) {
-  return together(comm, [&] {
-    try {
-      return scene.step(positions, options);
-    } catch (const Error&) {
-      if (scene) rcbd_close(scene.get());
-      throw;
-    }
-  });
+  const rcbd_step_options with = together(comm, [&] { return Scene::with_options(positions, options); });
+  rcbd_result* result = nullptr;
+  check(rcbd_mpi_step(comm, scene.get(), positions.get(), &with, &result));
+  return Step(result);
 }
 
 namespace detail {
@@ -186,6 +194,9 @@ class Moves {
 class Halo {
  public:
   // Of all processes, when lists are rebuilt, with the rows of a step whose moves are made.
+  Halo(MPI_Comm comm, const Scene& scene, const Positions& positions, const Near& near, const AskOptions& options = {})
+      : Halo(comm, together(comm, [&] { return scene.cuts(); }), positions, near, options) {}
+  // The same with cuts that are there.
   Halo(MPI_Comm comm, const Cuts& cuts, const Positions& positions, const Near& near, const AskOptions& options = {})
       : halo_(nullptr, rcbd_mpi_halo_free) {
     const rcbd_ask_options ask = together(comm, [&] { return ask_of(positions, options); });

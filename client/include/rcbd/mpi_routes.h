@@ -155,7 +155,7 @@ typedef enum rcbd_mpi_side_ { RCBD_MPI_OUT_, RCBD_MPI_IN_ } rcbd_mpi_side_;
 
 static inline MPI_Datatype rcbd_mpi_message_type_(const rcbd_mpi_lane_* lanes, int n, rcbd_mpi_side_ side,
                                                   int64_t first, int64_t count) {
-  MPI_Datatype rows[RCBD_MPI_FIELDS_MAX], type;
+  MPI_Datatype rows[RCBD_MPI_FIELDS_MAX], type = MPI_DATATYPE_NULL;
   MPI_Aint address[RCBD_MPI_FIELDS_MAX];
   int counts[RCBD_MPI_FIELDS_MAX], k;
   for (k = 0; k < n; ++k) {
@@ -180,31 +180,46 @@ static inline int rcbd_mpi_check_received_(const rcbd_mpi_routes_* routes, int r
   return RCBD_OK;
 }
 
+/* How far a transfer has come: so many messages are under way, and the first error. */
+typedef struct rcbd_mpi_begun_ {
+  int used, error;
+} rcbd_mpi_begun_;
+
+/* Begins to send to, or to receive from, each process that has entries there. What could not begin is not waited for.
+ */
+static inline void rcbd_mpi_begin_(rcbd_mpi_routes_* routes, const int64_t* entries, const rcbd_mpi_lane_* lanes, int n,
+                                   rcbd_mpi_side_ side, rcbd_mpi_begun_* begun) {
+  int p, error;
+  for (p = 0; p < routes->size; ++p) {
+    MPI_Datatype* type = &routes->types[begun->used];
+    MPI_Request* request = &routes->requests[begun->used];
+    if (p == routes->rank || entries[p + 1] == entries[p]) continue;
+    *type = rcbd_mpi_message_type_(lanes, n, side, entries[p], entries[p + 1] - entries[p]);
+    error = side == RCBD_MPI_IN_ ? MPI_Irecv(MPI_BOTTOM, 1, *type, p, RCBD_MPI_TAG, routes->comm, request)
+                                 : MPI_Isend(MPI_BOTTOM, 1, *type, p, RCBD_MPI_TAG, routes->comm, request);
+    if (error != MPI_SUCCESS) *request = MPI_REQUEST_NULL;
+    if (begun->error == MPI_SUCCESS) begun->error = error;
+    ++begun->used;
+  }
+}
+
 /* Sends the entries of all lanes, one message for each process that there are some for, and receives. */
 static inline int rcbd_mpi_transfer_(rcbd_mpi_routes_* routes, const int64_t* out, const int64_t* in,
                                      const rcbd_mpi_lane_* lanes, int n) {
-  int k, p, error, receives, used = 0, code;
-  for (p = 0; p < routes->size; ++p)
-    if (p != routes->rank && in[p + 1] > in[p]) {
-      routes->types[used] = rcbd_mpi_message_type_(lanes, n, RCBD_MPI_IN_, in[p], in[p + 1] - in[p]);
-      MPI_Irecv(MPI_BOTTOM, 1, routes->types[used], p, RCBD_MPI_TAG, routes->comm, &routes->requests[used]);
-      ++used;
-    }
-  receives = used;
-  for (p = 0; p < routes->size; ++p)
-    if (p != routes->rank && out[p + 1] > out[p]) {
-      routes->types[used] = rcbd_mpi_message_type_(lanes, n, RCBD_MPI_OUT_, out[p], out[p + 1] - out[p]);
-      MPI_Isend(MPI_BOTTOM, 1, routes->types[used], p, RCBD_MPI_TAG, routes->comm, &routes->requests[used]);
-      ++used;
-    }
-  p = routes->rank;
+  const int p = routes->rank;
+  rcbd_mpi_begun_ begun = {0, MPI_SUCCESS};
+  int k, error, receives, code;
+  rcbd_mpi_begin_(routes, in, lanes, n, RCBD_MPI_IN_, &begun);
+  receives = begun.used;
+  rcbd_mpi_begin_(routes, out, lanes, n, RCBD_MPI_OUT_, &begun);
   for (k = 0; k < n; ++k)
     if (out[p + 1] > out[p])
       memcpy(lanes[k].in + (size_t)in[p] * lanes[k].bytes, lanes[k].out + (size_t)out[p] * lanes[k].bytes,
              (size_t)(out[p + 1] - out[p]) * lanes[k].bytes);
-  error = MPI_Waitall(used, routes->requests, routes->statuses);
+  error = MPI_Waitall(begun.used, routes->requests, routes->statuses);
+  if (begun.error != MPI_SUCCESS) error = begun.error;
   code = error == MPI_SUCCESS ? rcbd_mpi_check_received_(routes, receives) : rcbd_mpi_fail_mpi_(error);
-  for (k = 0; k < used; ++k) MPI_Type_free(&routes->types[k]);
+  for (k = 0; k < begun.used; ++k) MPI_Type_free(&routes->types[k]);
   return code;
 }
 
@@ -298,6 +313,59 @@ static inline int rcbd_mpi_exchange_(rcbd_mpi_routes_* routes, const rcbd_mpi_fi
   if (code == RCBD_OK) code = rcbd_mpi_transfer_(routes, routes->out, routes->in, lanes, n);
   rcbd_mpi_free_lanes_(lanes, n);
   return code;
+}
+
+/* ---- whose rows ---- */
+
+/* That all rows are in the regions of this seat's parts: the halo of others would be plausible, and wrong. */
+static inline int rcbd_mpi_check_owned_(const rcbd_mpi_routes_* routes, rcbd_cuts* cuts, int64_t parts,
+                                        const rcbd_positions* positions, const rcbd_ask_options* options) {
+  const int64_t first = parts * routes->rank / routes->size, end = parts * (routes->rank + 1) / routes->size;
+  rcbd_ask_options ask = RCBD_ASK_OPTIONS;
+  int32_t* part = (int32_t*)rcbd_mpi_alloc_(positions->count, sizeof(int32_t));
+  int64_t k, others = 0;
+  int code;
+  char message[100];
+  if (part == NULL) return rcbd_mpi_no_memory_(positions->count);
+  ask.ids = options->ids;
+  ask.threads = options->threads;
+  code = rcbd_cuts_owner(cuts, positions, &ask, part);
+  for (k = 0; k < positions->count && code == RCBD_OK; ++k) others += part[k] < first || part[k] >= end;
+  free(part);
+  if (code != RCBD_OK) return rcbd_mpi_fail_library_(code, "");
+  if (others == 0) return RCBD_OK;
+  snprintf(message, sizeof(message), "%lld of %lld rows belong to other processes", (long long)others,
+           (long long)positions->count);
+  return rcbd_mpi_fail_(RCBD_INVALID_ARGUMENT, message,
+                        "hand them over after the step (moves), and give the positions and ids that it had");
+}
+
+/* ---- adding what came to my rows ---- */
+
+/* Sums of integers wrap around. */
+#define RCBD_MPI_ADD_(T, U)                                                            \
+  for (k = 0; k < routes->out[routes->size]; ++k)                                      \
+    for (c = 0; c < columns; ++c) {                                                    \
+      T* to = (T*)data + routes->row[k] * columns + c;                                 \
+      *to = (T)((U)*to + (U)((const T*)(const void*)routes->buffer)[k * columns + c]); \
+    }
+
+static inline void rcbd_mpi_add_(const rcbd_mpi_routes_* routes, void* data, char kind, int32_t columns) {
+  int64_t k;
+  int32_t c;
+  if (kind == 'd') RCBD_MPI_ADD_(double, double)
+  if (kind == 'f') RCBD_MPI_ADD_(float, float)
+  if (kind == 'i') RCBD_MPI_ADD_(int32_t, uint32_t)
+  if (kind == 'l') RCBD_MPI_ADD_(int64_t, uint64_t)
+}
+#undef RCBD_MPI_ADD_
+
+/* As rcbd_mpi_add_() takes it; 0: it doesn't. */
+static inline char rcbd_mpi_kind_(MPI_Datatype type) {
+  if (type == MPI_DOUBLE) return 'd';
+  if (type == MPI_FLOAT) return 'f';
+  if (type == MPI_INT32_T || type == MPI_INT) return 'i';
+  return type == MPI_INT64_T || type == MPI_LONG_LONG || (type == MPI_LONG && sizeof(long) == 8) ? 'l' : 0;
 }
 
 #endif

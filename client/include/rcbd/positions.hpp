@@ -20,6 +20,21 @@
 
 namespace rcbd {
 
+namespace detail {
+
+template <typename T>
+struct IsArray : std::false_type {};
+template <typename T, std::size_t N>
+struct IsArray<std::array<T, N>> : std::true_type {};
+
+// A temporary that takes its values along when it goes: a vector or an Array, but not a span.
+template <typename Range, typename = decltype(std::declval<Range&>().data())>
+using Owner =
+    std::enable_if_t<!std::is_lvalue_reference<Range>::value &&
+                     (!std::is_trivially_destructible<Range>::value || IsArray<std::remove_cv_t<Range>>::value)>;
+
+}  // namespace detail
+
 // what() is the message. The code is an rcbd_code, or one of a later version.
 class Error : public std::runtime_error {
  public:
@@ -50,8 +65,8 @@ class View {
   template <typename Range, typename = std::enable_if_t<
                                 std::is_convertible<decltype(std::declval<const Range&>().data()), const T*>::value>>
   View(const Range& values) : View(values.data(), values.size()) {}
-  template <typename U, typename A>
-  View(std::vector<U, A>&&) = delete;
+  template <typename Range, typename = detail::Owner<Range>, typename = void>
+  View(Range&&) = delete;
 
   const T* data() const { return data_; }
   std::size_t size() const { return size_; }
@@ -97,12 +112,7 @@ int dims_of(int given) {
 
 template <typename T>
 std::size_t rows_of(std::size_t size, int dims) {
-  if (!std::is_arithmetic<T>::value) return size;
-  if (dims < 1 || size % static_cast<std::size_t>(dims) != 0)
-    throw Error(RCBD_INVALID_ARGUMENT,
-                std::to_string(size) + " numbers are no positions in " + std::to_string(dims) + " dimensions",
-                "give the number of dimensions after the array, if it is not 3");
-  return size / static_cast<std::size_t>(dims);
+  return std::is_arithmetic<T>::value ? size / static_cast<std::size_t>(dims < 1 ? 1 : dims) : size;
 }
 
 // An array with a value for each row, or null.
@@ -117,15 +127,22 @@ const T* column(const View<T>& values, std::int64_t count, const char* what) {
 
 }  // namespace detail
 
-// Positions in arrays of the solver, of double or float: rcbd_positions.
+// Positions in arrays of the solver, of double or float: rcbd_positions. Those of wrong lengths are refused where they
+// are used, so that a call of all processes fails for all of them.
 class Positions {
  public:
   Positions() = default;
   // [count][dims]: a vector of numbers, or of std::array<double, 3>, whose dims it takes.
   template <typename Range, typename T = detail::ElementOf<const Range>, typename = detail::NumberOf<T>>
-  Positions(const Range& xyz, int dims = 3) : Positions(xyz.data(), detail::rows_of<T>(xyz.size(), dims), dims) {}
-  template <typename T, typename A>
-  Positions(std::vector<T, A>&&, int dims = 3) = delete;
+  Positions(const Range& xyz, int dims = 3) : Positions(xyz.data(), detail::rows_of<T>(xyz.size(), dims), dims) {
+    if (std::is_arithmetic<T>::value && (dims < 1 || xyz.size() % static_cast<std::size_t>(dims) != 0))
+      wrong_ =
+          Error(RCBD_INVALID_ARGUMENT,
+                std::to_string(xyz.size()) + " numbers are no positions in " + std::to_string(dims) + " dimensions",
+                "give the number of dimensions after the array, if it is not 3");
+  }
+  template <typename Range, typename = detail::Owner<Range>>
+  Positions(Range&&, int dims = 3) = delete;
   // Pointer and number of rows: also of double xyz[count][3].
   template <typename T, typename Number = detail::NumberOf<T>>
   Positions(const T* xyz, std::size_t count, int dims = 3) {
@@ -137,11 +154,12 @@ class Positions {
   // An array for each axis: axes(x, y, z).
   template <typename First, typename... More, typename T = detail::ElementOf<const First>>
   static Positions axes(const First& x, const More&... more) {
+    Positions positions = axes<std::remove_cv_t<T>>({x.data(), more.data()...}, x.size());
     for (const std::size_t size : {x.size(), more.size()...})
       if (size != x.size())
-        throw Error(RCBD_INVALID_ARGUMENT,
-                    std::to_string(x.size()) + " values on one axis, " + std::to_string(size) + " on another");
-    return axes<std::remove_cv_t<T>>({x.data(), more.data()...}, x.size());
+        positions.wrong_ = Error(RCBD_INVALID_ARGUMENT, std::to_string(x.size()) + " values on one axis, " +
+                                                            std::to_string(size) + " on another");
+    return positions;
   }
   // The same of pointers, with `stride` elements from one row to the next: axes({&p[0].x, &p[0].y}, n, sizeof p[0] /
   // 8).
@@ -156,7 +174,10 @@ class Positions {
 
   std::size_t count() const { return static_cast<std::size_t>(raw_.count); }
   int dims() const { return raw_.dims; }
-  const rcbd_positions* get() const { return &raw_; }
+  const rcbd_positions* get() const {
+    if (wrong_.code() != RCBD_OK) throw wrong_;
+    return &raw_;
+  }
 
  protected:
   explicit Positions(const rcbd_positions& raw) : raw_(raw) {}
@@ -174,6 +195,7 @@ class Positions {
   }
 
   rcbd_positions raw_ = RCBD_POSITIONS;
+  Error wrong_{RCBD_OK, ""};
 };
 
 // Those that wrap() may move.
@@ -187,7 +209,7 @@ class WritablePositions : public Positions {
   WritablePositions(T* xyz, std::size_t count, int dims = 3) : Positions(xyz, count, dims) {}
   template <typename First, typename... More, typename T = detail::ElementOf<First>>
   static WritablePositions axes(First& x, More&... more) {
-    return axes<T>({x.data(), more.data()...}, Positions::axes(x, more...).count());
+    return WritablePositions(Positions::axes(x, more...));
   }
   template <typename T, typename = detail::NumberOf<T>, typename = detail::Writable<T>>
   static WritablePositions axes(std::initializer_list<T*> first, std::size_t count, std::size_t stride = 1) {
@@ -201,6 +223,9 @@ class WritablePositions : public Positions {
     raw.dims = dims;
     return WritablePositions(raw);
   }
+
+ private:
+  explicit WritablePositions(const Positions& positions) : Positions(positions) {}
 };
 
 // A place, or a length an axis; those of unused axes are not read.

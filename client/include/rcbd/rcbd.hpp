@@ -183,8 +183,7 @@ class Scene : public Handle<rcbd_scene> {
     return Arrays<T>(arrays);
   }
   void close() const { check(rcbd_close(get())); }
-
- private:
+  // For rcbd_step(); refers to the arrays of these options.
   static rcbd_step_options with_options(const Positions& positions, const StepOptions& options) {
     const std::int64_t count = positions.get()->count;
     rcbd_step_options to = RCBD_STEP_OPTIONS;

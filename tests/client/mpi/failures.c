@@ -1,6 +1,14 @@
 /* What rcbd/mpi.h says of failures: on one process, to all; and of wrong use. mpi_failures ENDPOINT. */
 #include "scene.h"
 
+/* The MPI of this program may fail to begin messages. */
+static int failing;
+int MPI_Irecv(void* data, int n, MPI_Datatype type, int from, int tag, MPI_Comm comm, MPI_Request* request) {
+  return failing ? MPI_ERR_OTHER : PMPI_Irecv(data, n, type, from, tag, comm, request);
+}
+
+static const char* endpoint;
+
 /* All processes have failed alike, with this code, this message of that process, and can go on. */
 static void failed(int code, int expected, int by, const char* message) {
   char prefix[40], text[600];
@@ -18,11 +26,17 @@ static void refused(int code, int expected, const char* message) {
 
 static void opening(rcbd_client* client) {
   const int last = size - 1;
+  rcbd_client* another;
   rcbd_scene_options options = RCBD_SCENE_OPTIONS;
   rcbd_client* mine = client;
   rcbd_scene* scene;
   options.parts = size;
   options.replace = 1;
+  failed(rcbd_mpi_connect(MPI_COMM_WORLD, rank == last ? "unix:/nowhere/s" : endpoint, NULL, &another),
+         RCBD_UNAVAILABLE, last, "no service");
+  ensure(another == NULL, "no client");
+  failed(rcbd_mpi_connect(MPI_COMM_WORLD, endpoint, NULL, rank == last ? NULL : &another), RCBD_INVALID_ARGUMENT, last,
+         "");
   if (rank == last) rcbd_connect("unix:/nowhere/s", NULL, &mine);
   failed(rcbd_mpi_scene_open(MPI_COMM_WORLD, mine, "failures", &options, &scene), RCBD_UNAVAILABLE, last, "no service");
   ensure(scene == NULL, "no scene");
@@ -40,6 +54,8 @@ static void agreeing(void) {
          last, "disk full");
   ensure(strcmp(rcbd_mpi_hint(), "buy one") == 0, "the hint");
   failed(rcbd_mpi_agree(MPI_COMM_WORLD, RCBD_ABORTED, "all of us", ""), RCBD_ABORTED, 0, "all of us");
+  failed(rcbd_mpi_agree(MPI_COMM_WORLD, rank == last ? RCBD_NOT_FINITE : RCBD_ABORTED, "why", ""), RCBD_NOT_FINITE,
+         last, "why");
 }
 
 /* A step of one process fails by what it gives; it closes its scene, and no other waits for it. */
@@ -61,6 +77,10 @@ static void a_step(rcbd_client* client) {
   ensure(strncmp(rcbd_mpi_message(), "process 0: ", 11) == 0 && strlen(rcbd_mpi_message()) > 20, "with a message");
   ensure(moves == NULL, "no moves");
   free_scene(&s);
+  make_scene(&s, client, 2);
+  failed(rcbd_mpi_step(MPI_COMM_WORLD, s.scene, &positions, &step, &result), RCBD_NOT_FINITE, 0, "nan");
+  ensure(result == NULL, "no result");
+  free_scene(&s);
 }
 
 static void plans(scene_of_all* s, rcbd_result* result) {
@@ -72,6 +92,10 @@ static void plans(scene_of_all* s, rcbd_result* result) {
   rcbd_mpi_halo* halo;
   failed(rcbd_mpi_moves_new(MPI_COMM_WORLD, result, rank == last ? -1 : s->count[rank], &moves), RCBD_INVALID_ARGUMENT,
          last, "rows: -1");
+  failed(rcbd_mpi_moves_new(MPI_COMM_WORLD, result, s->count[rank], rank == last ? NULL : &moves),
+         RCBD_INVALID_ARGUMENT, last, "null pointer");
+  failed(rcbd_mpi_halo_new(MPI_COMM_WORLD, s->cuts, &none, &near, NULL, rank == last ? NULL : &halo),
+         RCBD_INVALID_ARGUMENT, last, "null pointer");
   failed(rcbd_mpi_halo_new(MPI_COMM_WORLD, rank == last ? NULL : s->cuts, &none, &near, NULL, &halo), RCBD_ABORTED,
          last, "");
   failed(rcbd_mpi_halo_new(MPI_COMM_WORLD, s->cuts, rank == last ? &bad : &none, &near, NULL, &halo), RCBD_NOT_FINITE,
@@ -124,13 +148,51 @@ static void wrong_use(rcbd_mpi_halo* halo, rcbd_mpi_moves* moves) {
   free(x);
 }
 
+/* Before they are handed over: one process has them all. */
+static void rows_of_others(scene_of_all* s, rcbd_result* result) {
+  int64_t *ids = calloc((size_t)s->n + 1, 8), count;
+  double* x = rows_of(s, ids);
+  const rcbd_positions positions = rcbd_rows(x, s->count[rank], s->dims);
+  const int64_t* row;
+  const int32_t* seat;
+  int by = 0;
+  rcbd_near near = RCBD_NEAR;
+  rcbd_ask_options ask = RCBD_ASK_OPTIONS;
+  rcbd_mpi_halo* halo;
+  char message[80];
+  while (s->count[by] == 0) ++by;
+  well(rcbd_result_leaving(result, &row, &seat, &count));
+  MPI_Bcast(&count, 1, MPI_INT64_T, by, MPI_COMM_WORLD);
+  snprintf(message, sizeof(message), "%d of %d rows belong to other processes", (int)count, (int)s->count[by]);
+  ask.ids = ids;
+  near.width = 0.1;
+  if (size > 1)
+    failed(rcbd_mpi_halo_new(MPI_COMM_WORLD, s->cuts, &positions, &near, &ask, &halo), RCBD_INVALID_ARGUMENT, by,
+           message);
+  free(ids);
+  free(x);
+}
+
+/* At the end, since its message is not received any more. */
+static void mpi_that_fails(rcbd_mpi_halo* halo) {
+  const int64_t all = halo->rows + halo->ghosts;
+  double* x = calloc((size_t)all + 1, 24);
+  const rcbd_mpi_field field = {x, all, MPI_DOUBLE, halo->dims, 1};
+  int code;
+  failing = rank == size - 1;
+  code = rcbd_mpi_forward(halo, halo->rows, &field, 1);
+  ensure(code == (failing && size > 1 ? RCBD_INTERNAL : RCBD_OK), "what could not begin is told");
+  free(x);
+}
+
 int main(int count, char** word) {
   scene_of_all s;
   rcbd_client* client = NULL;
   rcbd_result* result;
   rcbd_mpi_moves* moves;
   begin(&count, &word);
-  well(rcbd_connect(word[1], NULL, &client));
+  endpoint = word[1];
+  well(rcbd_mpi_connect(MPI_COMM_WORLD, endpoint, NULL, &client));
 #if RCBD_MPI_SEATS_MAX < 2
   failed(rcbd_mpi_scene_open(MPI_COMM_WORLD, client, "failures", NULL, &s.scene), RCBD_TOO_LARGE, 0, "seats: 2");
   return MPI_Finalize();
@@ -150,11 +212,12 @@ int main(int count, char** word) {
   well(rcbd_mpi_moves_new(MPI_COMM_WORLD, result, s.count[rank], &moves));
   {
     rcbd_mpi_halo* halo;
-    rcbd_near near = RCBD_NEAR;
-    const rcbd_positions x = rcbd_rows(s.x, s.n, s.dims); /* as if each process had all */
-    near.width = 0.1;
-    well(rcbd_mpi_halo_new(MPI_COMM_WORLD, s.cuts, &x, &near, NULL, &halo));
+    rows_of_others(&s, result);
+    look_up(&s);
+    take_over(&s);
+    halo = make_halo(&s);
     wrong_use(halo, moves);
+    mpi_that_fails(halo);
     rcbd_mpi_halo_free(halo);
   }
   rcbd_mpi_moves_free(moves);

@@ -92,25 +92,6 @@ static void check_moves(const scene_of_all* s, rcbd_result* result) {
   free(pair);
 }
 
-/* After the moves: process p has the ids of its seat in this order. */
-static void take_over(scene_of_all* s) {
-  int64_t* from[PROCESSES];
-  int64_t n[PROCESSES] = {0}, k;
-  int p, q, r;
-  for (p = 0; p < size; ++p) from[p] = calloc((size_t)s->n + 1, 8);
-  for (r = 0; r < size; ++r)
-    for (q = 0; q < size; ++q) {
-      p = q == 0 ? r : q <= r ? q - 1 : q;
-      for (k = 0; k < s->count[p]; ++k)
-        if (s->seat[s->order[p][k]] == r) from[r][n[r]++] = s->order[p][k];
-    }
-  for (p = 0; p < size; ++p) {
-    free(s->order[p]);
-    s->order[p] = from[p];
-    s->count[p] = n[p];
-  }
-}
-
 static void check_forward(const scene_of_all* s, rcbd_mpi_halo* halo) {
   const int64_t rows = halo->rows, all = rows + halo->ghosts;
   ghost *expected = calloc(MOST, sizeof(ghost)), *found = calloc((size_t)all + 1, sizeof(ghost)), at[343];
@@ -231,7 +212,7 @@ int main(int count, char** word) {
   unsigned seed, first;
   begin(&count, &word);
   first = (unsigned)atoi(word[2]);
-  well(rcbd_connect(word[1], NULL, &client));
+  well(rcbd_mpi_connect(MPI_COMM_WORLD, word[1], NULL, &client));
   for (seed = first; seed < first + 12; ++seed) a_scene(client, seed);
   rcbd_release(client);
   MPI_Finalize();

@@ -92,7 +92,7 @@ static rcbd_result* step_scene(scene_of_all* s) {
   rcbd_step_options step = RCBD_STEP_OPTIONS;
   rcbd_result* result;
   step.ids = ids;
-  well(rcbd_step(s->scene, &positions, &step, &result));
+  well(rcbd_mpi_step(MPI_COMM_WORLD, s->scene, &positions, &step, &result));
   well(rcbd_scene_cuts(s->scene, &s->cuts));
   free(ids);
   free(x);
@@ -106,6 +106,25 @@ static inline void look_up(scene_of_all* s) {
   well(rcbd_cuts_regions(s->cuts, s->region_lo, s->region_hi));
   well(rcbd_cuts_owner(s->cuts, &all, NULL, s->seat));
   for (k = 0; k < s->n; ++k) s->seat[k] = ((s->seat[k] + 1) * size - 1) / s->parts;
+}
+
+/* After the moves: process p has the ids of its seat in this order. */
+static inline void take_over(scene_of_all* s) {
+  int64_t* from[PROCESSES];
+  int64_t n[PROCESSES] = {0}, k;
+  int p, q, r;
+  for (p = 0; p < size; ++p) from[p] = calloc((size_t)s->n + 1, 8);
+  for (r = 0; r < size; ++r)
+    for (q = 0; q < size; ++q) {
+      p = q == 0 ? r : q <= r ? q - 1 : q;
+      for (k = 0; k < s->count[p]; ++k)
+        if (s->seat[s->order[p][k]] == r) from[r][n[r]++] = s->order[p][k];
+    }
+  for (p = 0; p < size; ++p) {
+    free(s->order[p]);
+    s->order[p] = from[p];
+    s->count[p] = n[p];
+  }
 }
 
 static inline rcbd_mpi_halo* make_halo(scene_of_all* s) {

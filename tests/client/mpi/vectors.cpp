@@ -29,6 +29,7 @@ void fails(Call call, int code, const std::string& message) {
 void check_together() {
   const int last = size - 1;
   ensure(rcbd::mpi::together(MPI_COMM_WORLD, [] { return 7; }) == 7, "what was computed");
+  rcbd::mpi::together(MPI_COMM_WORLD, [] {});
   const std::string by = "process " + std::to_string(last) + ": ";
   fails(
       [&] {
@@ -42,9 +43,12 @@ void check_together() {
       RCBD_INTERNAL, by + "odd");
   fails(
       [&] {
-        rcbd::mpi::together(MPI_COMM_WORLD, [] { return rcbd::connect(rank == size - 1 ? "unix:/nowhere/s" : ""); });
+        rcbd::mpi::together(MPI_COMM_WORLD, [&] {
+          if (rank == last) throw 7;
+        });
       },
-      RCBD_UNAVAILABLE, by);
+      RCBD_INTERNAL, by + "an exception");
+  fails([&] { rcbd::mpi::connect(MPI_COMM_WORLD, rank == last ? "unix:/nowhere/s" : ""); }, RCBD_UNAVAILABLE, by);
 }
 
 // Every particle has flat arrays of all kinds; some processes have none at first.
@@ -78,10 +82,14 @@ void check_arrays(const rcbd::Scene& scene) {
   rcbd::AskOptions ask;
   std::vector<std::int64_t> short_one(rank == size - 1 ? n - 1 : n);
   ask.ids = short_one;
-  fails([&] { rcbd::mpi::Halo(MPI_COMM_WORLD, scene.cuts(), x, near, ask); }, RCBD_INVALID_ARGUMENT,
+  fails([&] { rcbd::mpi::Halo(MPI_COMM_WORLD, scene, x, near, ask); }, RCBD_INVALID_ARGUMENT,
         "process " + std::to_string(size - 1) + ": ");
   ask.ids = id;
-  const rcbd::mpi::Halo halo(MPI_COMM_WORLD, scene.cuts(), x, near, ask);
+  std::vector<double> odd(3 * n + (rank == size - 1));
+  fails([&] { rcbd::mpi::Halo(MPI_COMM_WORLD, scene, odd, near, ask); }, RCBD_INVALID_ARGUMENT,
+        "process " + std::to_string(size - 1) + ": " + std::to_string(3 * n + 1) + " numbers");
+  rcbd::mpi::Halo(MPI_COMM_WORLD, scene.cuts(), x, near, ask);
+  const rcbd::mpi::Halo halo(MPI_COMM_WORLD, scene, x, near, ask);
   const std::size_t all = halo.rows() + halo.ghosts();
   ensure(halo.rows() == n && halo.ghosts() > 0, "ghosts");
   halo.forward(id, rcbd::mpi::positions(x), rcbd::mpi::columns(weight, 2), colour);
@@ -110,6 +118,16 @@ void check_arrays(const rcbd::Scene& scene) {
         "where there are " + std::to_string(n) + " rows");
 }
 
+void check_numbers_that_are_no_positions(const rcbd::Scene& scene) {
+  const std::vector<double> x(rank == size - 1 ? 301 : 300);
+  std::vector<std::int64_t> id;
+  for (std::int64_t k = 0; k < 100; ++k) id.push_back(100 * rank + k);
+  rcbd::StepOptions options;
+  options.ids = id;
+  fails([&] { rcbd::mpi::step(MPI_COMM_WORLD, scene, x, options); }, RCBD_INVALID_ARGUMENT,
+        "process " + std::to_string(size - 1) + ": 301 numbers are no positions");
+}
+
 // It closes its scene, so that the other processes do not wait.
 void check_a_step_that_fails(const rcbd::Scene& scene) {
   const std::vector<double> x(3, rank == 0 ? NAN : 0);
@@ -127,11 +145,12 @@ int main(int count, char** words) {
   MPI_Comm_size(MPI_COMM_WORLD, &size);
   check_together();
   {
-    const auto client = rcbd::mpi::together(MPI_COMM_WORLD, [&] { return rcbd::connect(words[1]); });
+    const auto client = rcbd::mpi::connect(MPI_COMM_WORLD, words[1]);
     rcbd::SceneOptions options;
     options.parts = 2 * size;
     options.replace = true;
     check_arrays(rcbd::mpi::scene_open(MPI_COMM_WORLD, client, "vectors", options));
+    check_numbers_that_are_no_positions(rcbd::mpi::scene_open(MPI_COMM_WORLD, client, "vectors", options));
     check_a_step_that_fails(rcbd::mpi::scene_open(MPI_COMM_WORLD, client, "vectors", options));
   }
   MPI_Finalize();
