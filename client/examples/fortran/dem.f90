@@ -4,8 +4,9 @@
 !
 !   mpifort -O2 -ffp-contract=off rcbd.f90 rcbd_mpi.f90 dem.f90 -o dem_fortran -lrcbd
 !
-! All bits are the same on any number of processes, and as in dem.c: a contact is computed once, by the process that has the
-! sphere of the lower id, by + - * / and sqrt alone, which must not be contracted, and forces are summed as integers.
+! All bits are the same with the same --parts (default: the number of processes), and as in dem.c: a contact is computed
+! once, by the process that has the sphere of the lower id, by + - * / and sqrt alone, which must not be contracted, and
+! forces are summed as integers.
 
 ! ---- the solver, which knows nothing of processes ----
 module spheres
@@ -155,7 +156,7 @@ program dem
   if (.not. 2 * near%width < side) call end('the halo is as wide as half of the box, so a sphere could meet two images of ' // &
     'another; take a smaller --reach or --push-every, or more --particles')
   if (parts == 0) parts = processes
-  call client%connect(endpoint, stat=stat, errmsg=why)
+  call rcbd_mpi_connect(comm, client, endpoint, stat=stat, errmsg=why)
   call all_must()
   call rcbd_mpi_scene_open(comm, scene, client, scene_name, &
     rcbd_scene_options(parts=int(parts), tolerance=0.05_real64, positions=positions, replace=.true.), stat, why)
@@ -186,8 +187,7 @@ contains
     type(rcbd_mpi_moves) :: moves
     call rcbd_wrap(x, near%lo, near%hi, stat, why)
     call all_must()
-    call scene%step(x, step, ids=id, stat=stat, errmsg=why)
-    if (stat /= rcbd_ok) call scene%release()  ! so that no other process waits for this one
+    call rcbd_mpi_step(comm, scene, x, step, ids=id, stat=stat, errmsg=why)
     call all_must()
     call moves%make(comm, step, n, stat, why)
     call all_must()

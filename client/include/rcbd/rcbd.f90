@@ -15,7 +15,7 @@
 ! option is the one of the same name. Different in Fortran:
 !
 ! Failures. Each procedure has stat= and errmsg=, as allocate() has: stat is 0 or one of the codes below, errmsg the message
-! and the hint. Without stat= a failure prints both and ends the program by `error stop`.
+! and the hint. Without stat= a failure prints both and ends the program with the exit code 1.
 !
 ! Rows count from 1. Parts, seats and steps count from 0, and arrays by part have the lower bound 0.
 !
@@ -29,7 +29,9 @@
 ! Handles. Variables of the types that extend rcbd_handle are let go of by themselves where they cease to exist, also in
 ! allocatable arrays; `a = b` makes one more holder. call a%release() lets go before. Main programs and modules keep theirs
 ! until the end, and with gfortran up to 12 so do `block`s and results of functions: release these. A copy of a type of
-! yours that has one as a component may, with gfortran up to 12, only borrow it: it holds as long as the first one does.
+! yours that has one as a component may, with gfortran up to 12, only borrow it: it holds as long as the first one does, and
+! is a null handle after that. So copy the component by itself as well (`copy%scene = mine%scene`), also where an array of
+! such a type is made longer, or keep an array of the handles' own type beside it.
 !
 ! Threads. Pass shared variables that others only read; one that a call changes (open, step, cuts) belongs to one thread.
 
@@ -120,6 +122,18 @@ module rcbd_c
       import
       type(c_ptr), value :: text
     end function
+    integer(c_int) function c_lock(mutex) bind(c, name='pthread_mutex_lock')
+      import
+      integer(c_int64_t), intent(inout) :: mutex(*)
+    end function
+    integer(c_int) function c_unlock(mutex) bind(c, name='pthread_mutex_unlock')
+      import
+      integer(c_int64_t), intent(inout) :: mutex(*)
+    end function
+    subroutine c_exit(code) bind(c, name='exit')
+      import
+      integer(c_int), value :: code
+    end subroutine
     type(c_ptr) function c_retain(handle) bind(c, name='rcbd_retain')
       import
       type(c_ptr), value :: handle
@@ -317,6 +331,7 @@ module rcbd
     real(real64), allocatable :: part_sizes(:)  ! (parts)
   end type
   type, public :: rcbd_step_options
+    ! With inserted or removed only the number of particles is checked, not which ones come and go.
     integer(int64) :: step = -1, inserted = 0, removed = 0
     real(real64) :: step_seconds = -1
     logical :: want_parts = .false., want_changed = .false., send = .false.
@@ -360,15 +375,23 @@ module rcbd
     integer(int64), allocatable :: offset(:)    ! (0 : parts)
     integer(int64), allocatable :: row(:)       ! (entries)
     integer(int32), allocatable :: shift(:, :)  ! (dims, entries)
+    integer(int64), allocatable :: of_seat(:)   ! (0 : seats - 1): how many of the rows are each seat's, where seats are asked for
   end type
 
   ! ---- handles ----
-  ! `home` is where the variable lies that holds the handle. A copy that was made byte by byte, as compilers do with
-  ! temporaries and with components of other types, has another's: it holds nothing, and lets go of nothing.
+  ! Compilers copy handles byte by byte, with temporaries and with components of other types, and may copy them back when
+  ! they are long released. So a variable has no more than a slot, whose memory is never freed, and the turn in which it was
+  ! given the slot. Only the variable that lies at `home` lets go, and a copy from an older turn is a null handle.
+  type :: handle_slot
+    type(c_ptr) :: at = c_null_ptr
+    integer(int64) :: turn = 0
+    integer(c_intptr_t) :: home = 0
+    type(handle_slot), pointer :: next => null()  ! of those that are free
+  end type
   type, public :: rcbd_handle
     private
-    type(c_ptr) :: at = c_null_ptr
-    integer(c_intptr_t) :: home = 0
+    type(handle_slot), pointer :: slot => null()
+    integer(int64) :: turn = 0
   contains
     procedure :: release
     procedure :: close => close_handle
@@ -438,6 +461,8 @@ module rcbd
     module procedure place_r8, place_r4
   end interface
   real(real64), target, save :: nothing(3) = 0  ! where no rows are
+  type(handle_slot), pointer, save :: free_slot => null()
+  integer(int64), save :: slots_lock(16) = 0  ! a pthread_mutex_t, which is shorter; zeros are PTHREAD_MUTEX_INITIALIZER
   character(*), parameter :: no_copy = 'step_begin makes no copies, since the step goes on: give sections that step forward ' // &
     'and arrays that are contiguous'
 
@@ -456,7 +481,8 @@ contains
     name = text_at(c_code_name(int(code, c_int)))
   end function
 
-  ! Tells a failure as each procedure here does: by stat and errmsg or, without stat, by ending the program.
+  ! Tells a failure as each procedure here does: by stat and errmsg or, without stat, by ending the program. exit() ends it
+  ! as `error stop` does, without a list of this module's procedures.
   subroutine rcbd_failed(code, message, stat, errmsg)
     integer, intent(in) :: code
     character(*), intent(in) :: message
@@ -467,7 +493,7 @@ contains
       stat = code
     else
       write (error_unit, '(4a)') rcbd_code_name(code), ': ', message
-      error stop 1
+      call c_exit(1_c_int)
     end if
   end subroutine
 
@@ -607,13 +633,13 @@ contains
     real(real64), intent(in), target :: x(:, :)
     integer :: a
     call begin_take(rows, size(x, 1), size(x, 2, kind=int64), 0_c_int32_t)
-    if (size(x) == 0 .or. allocated(rows%wrong)) return
+    if (size(x, kind=int64) == 0 .or. allocated(rows%wrong)) return
     do a = 1, size(x, 1)
       rows%at%axis(a) = c_loc(x(a, 1))
     end do
-    if (size(x, 2) > 1) rows%at%stride = stride_of(c_loc(x(1, 1)), c_loc(x(1, 2)), 8)
+    if (size(x, 2, kind=int64) > 1) rows%at%stride = stride_of(c_loc(x(1, 1)), c_loc(x(1, 2)), 8)
     if (rows%at%stride > 0) return
-    allocate (rows%copy(size(x, 1), size(x, 2)))
+    allocate (rows%copy(size(x, 1), size(x, 2, kind=int64)))
     rows%copy(:, :) = x
     call give_copy(rows)
   end subroutine
@@ -633,10 +659,10 @@ contains
     call place(rows, 1, stride, x)
     if (present(y)) call place(rows, 2, stride, y)
     if (present(z)) call place(rows, 3, stride, z)
-    if (size(x) == 0 .or. allocated(rows%wrong)) return
+    if (size(x, kind=int64) == 0 .or. allocated(rows%wrong)) return
     rows%at%stride = stride(1)
     if (all(stride(:dims) == stride(1)) .and. stride(1) > 0) return
-    allocate (rows%copy(dims, size(x)))
+    allocate (rows%copy(dims, size(x, kind=int64)))
     rows%copy(1, :) = x
     if (present(y)) rows%copy(2, :) = y
     if (present(z)) rows%copy(3, :) = z
@@ -649,8 +675,8 @@ contains
     integer(int64), intent(inout) :: stride(3)
     real(real64), intent(in), target :: x(:)
     if (size(x, kind=int64) /= rows%at%count) rows%wrong = 'the arrays of the axes differ in length'
-    if (size(x) > 0) rows%at%axis(axis) = c_loc(x(1))
-    if (size(x) > 1) stride(axis) = stride_of(c_loc(x(1)), c_loc(x(2)), 8)
+    if (size(x, kind=int64) > 0) rows%at%axis(axis) = c_loc(x(1))
+    if (size(x, kind=int64) > 1) stride(axis) = stride_of(c_loc(x(1)), c_loc(x(2)), 8)
   end subroutine
 
   subroutine take_r4(rows, x)
@@ -658,13 +684,13 @@ contains
     real(real32), intent(in), target :: x(:, :)
     integer :: a
     call begin_take(rows, size(x, 1), size(x, 2, kind=int64), 1_c_int32_t)
-    if (size(x) == 0 .or. allocated(rows%wrong)) return
+    if (size(x, kind=int64) == 0 .or. allocated(rows%wrong)) return
     do a = 1, size(x, 1)
       rows%at%axis(a) = c_loc(x(a, 1))
     end do
-    if (size(x, 2) > 1) rows%at%stride = stride_of(c_loc(x(1, 1)), c_loc(x(1, 2)), 4)
+    if (size(x, 2, kind=int64) > 1) rows%at%stride = stride_of(c_loc(x(1, 1)), c_loc(x(1, 2)), 4)
     if (rows%at%stride > 0) return
-    allocate (rows%copy(size(x, 1), size(x, 2)))
+    allocate (rows%copy(size(x, 1), size(x, 2, kind=int64)))
     rows%copy(:, :) = x
     call give_copy(rows)
   end subroutine
@@ -684,10 +710,10 @@ contains
     call place(rows, 1, stride, x)
     if (present(y)) call place(rows, 2, stride, y)
     if (present(z)) call place(rows, 3, stride, z)
-    if (size(x) == 0 .or. allocated(rows%wrong)) return
+    if (size(x, kind=int64) == 0 .or. allocated(rows%wrong)) return
     rows%at%stride = stride(1)
     if (all(stride(:dims) == stride(1)) .and. stride(1) > 0) return
-    allocate (rows%copy(dims, size(x)))
+    allocate (rows%copy(dims, size(x, kind=int64)))
     rows%copy(1, :) = x
     if (present(y)) rows%copy(2, :) = y
     if (present(z)) rows%copy(3, :) = z
@@ -700,8 +726,8 @@ contains
     integer(int64), intent(inout) :: stride(3)
     real(real32), intent(in), target :: x(:)
     if (size(x, kind=int64) /= rows%at%count) rows%wrong = 'the arrays of the axes differ in length'
-    if (size(x) > 0) rows%at%axis(axis) = c_loc(x(1))
-    if (size(x) > 1) stride(axis) = stride_of(c_loc(x(1)), c_loc(x(2)), 4)
+    if (size(x, kind=int64) > 0) rows%at%axis(axis) = c_loc(x(1))
+    if (size(x, kind=int64) > 1) stride(axis) = stride_of(c_loc(x(1)), c_loc(x(2)), 4)
   end subroutine
 
   ! Ids of the rows, for C; null where there are none.
@@ -738,11 +764,11 @@ contains
     if (.not. present(weights)) return
     weights_of = c_loc(nothing)
     if (size(weights, kind=int64) /= rows%at%count) rows%wrong = 'weights has another length than the positions have rows'
-    if (size(weights) == 0) return
+    if (size(weights, kind=int64) == 0) return
     if (is_contiguous(weights)) then
       weights_of = c_loc(weights(1))
     else
-      allocate (rows%weights(size(weights)))
+      allocate (rows%weights(size(weights, kind=int64)))
       rows%weights(:) = weights
       weights_of = c_loc(rows%weights(1))
     end if
@@ -811,20 +837,43 @@ contains
 
   ! ---- handles ----
 
+  ! What the library takes: null where the variable holds nothing.
+  type(c_ptr) function live(self)
+    class(rcbd_handle), intent(in) :: self
+    live = c_null_ptr
+    if (.not. associated(self%slot)) return
+    if (self%slot%turn == self%turn) live = self%slot%at
+  end function
+
   ! Takes over a handle that the library gave.
   subroutine hold(self, at)
     class(rcbd_handle), intent(inout), target :: self
     type(c_ptr), intent(in) :: at
     call self%release()
-    self%at = at
-    self%home = address(c_loc(self%home))
+    if (.not. c_associated(at)) return
+    if (c_lock(slots_lock) /= 0) return
+    self%slot => free_slot
+    if (associated(free_slot)) free_slot => free_slot%next
+    if (c_unlock(slots_lock) /= 0) return
+    if (.not. associated(self%slot)) allocate (self%slot)
+    self%slot%at = at
+    self%slot%home = address(c_loc(self%turn))
+    self%turn = self%slot%turn
   end subroutine
 
   impure elemental subroutine release(self)
     class(rcbd_handle), intent(inout), target :: self
-    if (self%home == address(c_loc(self%home))) call c_release(self%at)
-    self%at = c_null_ptr
-    self%home = 0
+    type(handle_slot), pointer :: slot
+    slot => self%slot
+    nullify (self%slot)
+    if (.not. associated(slot)) return
+    if (slot%turn /= self%turn .or. slot%home /= address(c_loc(self%turn))) return
+    slot%turn = slot%turn + 1
+    call c_release(slot%at)
+    if (c_lock(slots_lock) /= 0) return
+    slot%next => free_slot
+    free_slot => slot
+    if (c_unlock(slots_lock) /= 0) return
   end subroutine
 
   impure elemental subroutine finish(self)
@@ -836,7 +885,7 @@ contains
     class(rcbd_handle), intent(inout) :: to
     class(rcbd_handle), intent(in) :: from
     if (.not. same_type_as(to, from)) call rcbd_failed(rcbd_invalid_argument, 'a handle is assigned to one of another type')
-    call hold(to, c_retain(from%at))
+    call hold(to, c_retain(live(from)))
   end subroutine
 
   ! A scene: lets go of it in the service. A client: closes its scenes and says goodbye.
@@ -844,7 +893,7 @@ contains
     class(rcbd_handle), intent(in) :: self
     integer, intent(out), optional :: stat
     character(*), intent(inout), optional :: errmsg
-    if (bad(c_close(self%at), stat, errmsg)) return
+    if (bad(c_close(live(self)), stat, errmsg)) return
   end subroutine
 
   ! ---- client ----
@@ -878,7 +927,7 @@ contains
     integer, intent(out), optional :: stat
     character(*), intent(inout), optional :: errmsg
     character(kind=c_char), allocatable, target :: text(:)
-    if (bad(c_scene_drop(self%at, c_text(name, text)), stat, errmsg)) return
+    if (bad(c_scene_drop(live(self), c_text(name, text)), stat, errmsg)) return
   end subroutine
 
   ! Whether there was one more notice: do while (client%notice(text)).
@@ -886,14 +935,14 @@ contains
     class(rcbd_client), intent(in) :: self
     character(:), allocatable, intent(inout) :: text
     type(c_ptr) :: at
-    at = c_notice(self%at)
+    at = c_notice(live(self))
     notice = c_associated(at)
     text = text_at(at)
   end function
 
   subroutine interrupt(self)
     class(rcbd_client), intent(in) :: self
-    call c_interrupt(self%at)
+    call c_interrupt(live(self))
   end subroutine
 
   ! ---- scene ----
@@ -930,7 +979,7 @@ contains
       c%deadline_seconds = options%deadline_seconds
     end if
     call self%release()  ! what it was: so a scene can be opened anew
-    if (bad(c_scene_open(client%at, c_text(name, text), c, at), stat, errmsg)) return
+    if (bad(c_scene_open(live(client), c_text(name, text), c, at), stat, errmsg)) return
     call hold(self, at)
   end subroutine
 
@@ -939,7 +988,7 @@ contains
     class(rcbd_scene), intent(in) :: self
     integer, intent(out), optional :: stat
     character(*), intent(inout), optional :: errmsg
-    if (bad(c_last_step(self%at, last_step), stat, errmsg)) return
+    if (bad(c_last_step(live(self), last_step), stat, errmsg)) return
   end function
 
   ! The cuts after the last step.
@@ -949,7 +998,7 @@ contains
     integer, intent(out), optional :: stat
     character(*), intent(inout), optional :: errmsg
     type(c_ptr) :: at
-    if (bad(c_scene_cuts(self%at, at), stat, errmsg)) return
+    if (bad(c_scene_cuts(live(self), at), stat, errmsg)) return
     call hold(cuts, at)
   end subroutine
 
@@ -989,7 +1038,7 @@ contains
     integer, intent(out), optional :: stat
     character(*), intent(inout), optional :: errmsg
     type(c_ptr) :: at
-    if (bad(c_arrays_new(self%at, int(n, c_int64_t), 0_c_int, single, at), stat, errmsg)) return
+    if (bad(c_arrays_new(live(self), int(n, c_int64_t), 0_c_int, single, at), stat, errmsg)) return
     call hold(memory, at)
     to%size = c_sizeof(to)
     if (bad(c_arrays_positions(at, to), stat, errmsg)) return
@@ -1029,7 +1078,7 @@ contains
     c%ids = ids_of(rows, ids, ids4)
     c%weights = weights_of(rows, weights)
     if (is_wrong(rows, stat, errmsg)) return
-    if (bad(c_step(self%at, rows%at, c, made), stat, errmsg)) return
+    if (bad(c_step(live(self), rows%at, c, made), stat, errmsg)) return
     if (present(result)) call read_result(made, result)
     call c_release(made)
   end subroutine
@@ -1050,7 +1099,7 @@ contains
     c%weights = weights_of(rows, weights)
     if (allocated(rows%copy) .or. allocated(rows%ids) .or. allocated(rows%weights)) rows%wrong = no_copy
     if (is_wrong(rows, stat, errmsg)) return
-    if (bad(c_step_begin(self%at, rows%at, c, at), stat, errmsg)) return
+    if (bad(c_step_begin(live(self), rows%at, c, at), stat, errmsg)) return
     call hold(op, at)
   end subroutine
 
@@ -1126,7 +1175,7 @@ contains
     integer(c_int) :: code
     longest = -1
     if (present(seconds)) longest = seconds
-    code = c_wait(self%at, longest, made)
+    code = c_wait(live(self), longest, made)
     if (present(done)) done = code /= -1
     if (code == -1) code = rcbd_ok  ! pending
     if (bad(code, stat, errmsg)) return
@@ -1136,7 +1185,7 @@ contains
 
   subroutine cancel(self)
     class(rcbd_op), intent(in) :: self
-    call c_cancel(self%at)
+    call c_cancel(live(self))
   end subroutine
 
   ! What step() says of rows, for an array of rows or one an axis.
@@ -1270,7 +1319,7 @@ contains
     integer, intent(out), optional :: stat
     character(*), intent(inout), optional :: errmsg
     info%size = c_sizeof(info)
-    if (bad(c_cuts_describe(self%at, info), stat, errmsg)) return
+    if (bad(c_cuts_describe(live(self), info), stat, errmsg)) return
   end subroutine
 
   integer(int64) function epoch(self, stat, errmsg)
@@ -1340,7 +1389,7 @@ contains
     if (allocated(hi)) deallocate (hi)
     allocate (lo(info%dims, 0:info%parts - 1), hi(info%dims, 0:info%parts - 1))
     if (info%parts == 0) return
-    if (bad(c_cuts_regions(self%at, lo, hi), stat, errmsg)) return
+    if (bad(c_cuts_regions(live(self), lo, hi), stat, errmsg)) return
   end subroutine
 
   ! Whether a distance, or a box, can't be one of these cuts.
@@ -1354,7 +1403,7 @@ contains
     type(c_cuts_info) :: info
     info%size = c_sizeof(info)
     c%size = c_sizeof(c)
-    not_near = bad(c_cuts_describe(self%at, info), stat, errmsg)
+    not_near = bad(c_cuts_describe(live(self), info), stat, errmsg)
     dims = info%dims
     if (not_near .or. .not. present(near)) return
     c%width = near%width
@@ -1385,10 +1434,10 @@ contains
       if (size(part, kind=int64) /= rows%at%count) deallocate (part)
     end if
     if (.not. allocated(part)) allocate (part(rows%at%count))
-    if (size(part) == 0) then
-      if (bad(c_cuts_owner(self%at, rows%at, c, c_loc(nothing)), stat, errmsg)) return
+    if (size(part, kind=int64) == 0) then
+      if (bad(c_cuts_owner(live(self), rows%at, c, c_loc(nothing)), stat, errmsg)) return
     else
-      if (bad(c_cuts_owner(self%at, rows%at, c, c_loc(part)), stat, errmsg)) return
+      if (bad(c_cuts_owner(live(self), rows%at, c, c_loc(part)), stat, errmsg)) return
     end if
   end subroutine
 
@@ -1399,11 +1448,11 @@ contains
     if (.not. present(options)) return
     if (allocated(options%last_part)) then
       if (size(options%last_part, kind=int64) /= rows%at%count) rows%wrong = 'last_part has another length than there are rows'
-      if (size(options%last_part) > 0) c%last_part = c_loc(options%last_part)
+      if (size(options%last_part, kind=int64) > 0) c%last_part = c_loc(options%last_part)
     end if
     if (allocated(options%widths)) then
       if (size(options%widths, kind=int64) /= rows%at%count) rows%wrong = 'widths has another length than there are rows'
-      if (size(options%widths) > 0) c%widths = c_loc(options%widths)
+      if (size(options%widths, kind=int64) > 0) c%widths = c_loc(options%widths)
     end if
     c%entries_max = options%entries_max
     c%seats = options%seats
@@ -1431,7 +1480,7 @@ contains
     call ask(rows, options, c)
     if (is_wrong(rows, stat, errmsg)) return
     if (not_near(self, near, c_distance, dims, stat, errmsg)) return
-    if (bad(c_cuts_halo(self%at, rows%at, c_distance, c, lists), stat, errmsg)) return
+    if (bad(c_cuts_halo(live(self), rows%at, c_distance, c, lists), stat, errmsg)) return
     call read_lists(lists, view)
     if (allocated(halo%offset)) deallocate (halo%offset)
     allocate (halo%offset(0:view%lists))
@@ -1440,6 +1489,29 @@ contains
     call get_rows(view%item, view%entries, halo%row)
     call get_shifts(view, dims, halo%shift)
     call c_release(lists)
+    if (c%seats > 0) call count_seats(self, rows, c, halo%of_seat, stat, errmsg)
+  end subroutine
+
+  ! Seat k of M has the parts k P / M to (k + 1) P / M - 1.
+  subroutine count_seats(self, rows, c, of_seat, stat, errmsg)
+    class(rcbd_cuts), intent(in) :: self
+    type(given), intent(in) :: rows
+    type(c_ask_options), intent(in) :: c
+    integer(int64), allocatable, intent(inout) :: of_seat(:)
+    integer, intent(out), optional :: stat
+    character(*), intent(inout), optional :: errmsg
+    integer(int32), allocatable, target :: part(:)
+    integer(int64) :: k, seat
+    type(c_cuts_info) :: info
+    if (allocated(of_seat)) deallocate (of_seat)
+    allocate (of_seat(0:c%seats - 1), part(max(rows%at%count, 1_int64)))
+    of_seat = 0
+    call describe(self, info, stat, errmsg)
+    if (bad(c_cuts_owner(live(self), rows%at, c, c_loc(part)), stat, errmsg)) return
+    do k = 1, rows%at%count
+      seat = ((part(k) + 1_int64) * c%seats - 1) / info%parts
+      of_seat(seat) = of_seat(seat) + 1
+    end do
   end subroutine
 
   subroutine read_lists(lists, view)
@@ -1494,7 +1566,7 @@ contains
     type(c_ptr) :: lists
     integer :: dims
     if (not_near(self, near, c, dims, stat, errmsg)) return
-    if (bad(c_cuts_neighbours(self%at, int(of_part, c_int32_t), c, lists), stat, errmsg)) return
+    if (bad(c_cuts_neighbours(live(self), int(of_part, c_int32_t), c, lists), stat, errmsg)) return
     call get_parts(lists, dims, part, shift)
   end subroutine
 
@@ -1512,7 +1584,7 @@ contains
     if (not_near(self, near, c, dims, stat, errmsg)) return
     if (refused(size(lo) /= dims .or. size(hi) /= dims, &
                 'lo and hi of the box have other lengths than the cuts have dims', stat, errmsg)) return
-    if (bad(c_cuts_box(self%at, lo, hi, c, lists), stat, errmsg)) return
+    if (bad(c_cuts_box(live(self), lo, hi, c, lists), stat, errmsg)) return
     call get_parts(lists, dims, part)
   end subroutine
 
@@ -1530,7 +1602,7 @@ contains
     axis = 0
     width = 0
     if (not_near(self, near, c, dims, stat, errmsg)) return
-    if (bad(c_cuts_narrowest(self%at, c, part, axis, width), stat, errmsg)) return
+    if (bad(c_cuts_narrowest(live(self), c, part, axis, width), stat, errmsg)) return
     axis = axis + 1
   end subroutine
 

@@ -6,9 +6,10 @@
 !   use rcbd_mpi
 !   type(rcbd_mpi_moves) :: moves
 !   type(rcbd_mpi_halo) :: halo
+!   call rcbd_mpi_connect(comm, client)
 !   call rcbd_mpi_scene_open(comm, scene, client, 'jet', options)   ! process k of M is seat k of M
 !
-!   call scene%step(x, step, ids=id)                        ! when lists are rebuilt
+!   call rcbd_mpi_step(comm, scene, x, step, ids=id)        ! when lists are rebuilt: scene%step() of all processes
 !   call moves%make(comm, step, size(id))
 !   call moves%move(id)                                     ! allocatable arrays, which get as many rows as there are now
 !   call moves%move(x)
@@ -25,26 +26,29 @@
 !
 ! Failures are told as in module rcbd. Procedures that take a communicator are called by all its processes and fail for all
 ! of them if they do for one, with that one's code and text; without stat= process 0 prints it. What else fails on one
-! process, such as a step, the solver lets all know by rcbd_mpi_agree(), since nobody may wait for one that has given up;
-! one whose step failed closes its scene before that. move, forward and reverse_add fail on one process alone, before it
-! sends anything, where they are called wrongly: end with MPI_Abort then, or leave stat= out.
+! process the solver lets all know by rcbd_mpi_agree(), since nobody may wait for one that has given up. rcbd_mpi_step()
+! closes the scene of the process whose step failed. move, forward and reverse_add fail on one process alone, where they are
+! called wrongly or another process sends other arrays: end with MPI_Abort then, or leave stat= out.
 !
 ! Order. The rows of each process stay in their order. Those that come from others follow, by process, and by row where they
 ! come from. Ghosts are ordered alike, one's own periodic images in one's own place. reverse_add adds in this order, so its
 ! sums are the same each time; those of integers don't depend on the number of processes either, and wrap around.
+!
+! What MPI returns is not looked at: communicators need the error handler that they have, MPI_ERRORS_ARE_FATAL.
 !
 ! Messages go over the communicator that is given, with the tag 7470, and only between processes that have rows for each
 ! other. Where the solver receives with MPI_ANY_TAG meanwhile, give a duplicate (MPI_Comm_dup). Plans are good until the next
 ! step, and have nothing of MPI's that is to be freed.
 
 module rcbd_mpi
-  use, intrinsic :: iso_c_binding, only: c_f_pointer, c_loc, c_ptr
+  use, intrinsic :: iso_c_binding, only: c_f_pointer, c_int, c_loc, c_ptr
   use, intrinsic :: iso_fortran_env, only: error_unit, int32, int64, real32, real64
   use mpi_f08
   use rcbd
+  use rcbd_c, only: c_exit
   implicit none
   private
-  public :: rcbd_mpi_agree, rcbd_mpi_scene_open
+  public :: rcbd_mpi_agree, rcbd_mpi_connect, rcbd_mpi_scene_open, rcbd_mpi_step
 
   integer(int32), parameter :: tag = 7470, most = huge(0_int32)  ! rows that MPI can count
 
@@ -65,6 +69,9 @@ module rcbd_mpi
   interface as_lane
     module procedure lane_i4_1, lane_i4_2, lane_i8_1, lane_i8_2, &
       lane_r4_1, lane_r4_2, lane_r8_1, lane_r8_2
+  end interface
+  interface rcbd_mpi_step
+    module procedure step_r8, step_r4, step_axes_r8, step_axes_r4
   end interface
   interface shift_ghosts
     module procedure shift_r8, shift_r4
@@ -118,7 +125,9 @@ contains
     call MPI_Allreduce(mine, first, 1_int32, MPI_INTEGER4, MPI_MIN, comm)
     if (first == size) return
     code = int(stat, int32)
-    if (first == rank) write (text, '(a, i0, 2a)') 'process ', rank, ': ', errmsg(:min(len_trim(errmsg), 1000))
+    text = errmsg
+    if (first == rank .and. index(errmsg, 'process ') /= 1) &  ! else it was agreed on before
+      write (text, '(a, i0, 2a)') 'process ', rank, ': ', errmsg(:min(len_trim(errmsg), 1000))
     call MPI_Bcast(code, 1_int32, MPI_INTEGER4, first, comm)
     call MPI_Bcast(text, 1024_int32, MPI_CHARACTER, first, comm)
     stat = code
@@ -142,7 +151,7 @@ contains
     if (rank == 0) write (error_unit, '(3a)') rcbd_code_name(code), ': ', trim(why)
     flush (error_unit)
     call MPI_Barrier(comm)  ! an mpirun ends all processes when it sees that one has ended
-    error stop 1
+    call c_exit(1_c_int)
   end function
 
   ! Whether a plan isn't made, or an array hasn't the rows that it should have; tells it then.
@@ -160,7 +169,22 @@ contains
     call rcbd_failed(rcbd_invalid_argument, trim(message), stat, errmsg)
   end function
 
-  ! ---- scene ----
+  ! ---- client and scene ----
+
+  ! Of all processes: client%connect().
+  subroutine rcbd_mpi_connect(comm, client, endpoint, options, stat, errmsg)
+    type(MPI_Comm), intent(in) :: comm
+    class(rcbd_client), intent(inout) :: client
+    character(*), intent(in), optional :: endpoint
+    type(rcbd_connect_options), intent(in), optional :: options
+    integer, intent(out), optional :: stat
+    character(*), intent(inout), optional :: errmsg
+    integer :: code
+    character(1024) :: why
+    call client%connect(endpoint, options, code, why)
+    call rcbd_mpi_agree(comm, code, why)
+    if (failed(comm, code, why, stat, errmsg)) call client%release()
+  end subroutine
 
   ! Of all processes: scene%open() with seat and seats from the communicator, the others after process 0, so that `replace`
   ! needs no more care. A scene has at most 1,024 seats.
@@ -186,6 +210,93 @@ contains
       if (code /= rcbd_ok) exit
     end do
     if (failed(comm, code, why, stat, errmsg)) return
+  end subroutine
+
+  ! ---- steps ----
+
+  ! Of all processes, after scene%step(): where it failed on one, that one closes its scene, which ends the step of the others.
+  ! One that comes to its step after that waits for its deadline.
+  subroutine end_step(comm, scene, code, why, stat, errmsg)
+    type(MPI_Comm), intent(in) :: comm
+    class(rcbd_scene), intent(in) :: scene
+    integer, intent(inout) :: code
+    character(*), intent(inout) :: why
+    integer, intent(out), optional :: stat
+    character(*), intent(inout), optional :: errmsg
+    integer :: ignored
+    if (code /= rcbd_ok) call scene%close(ignored)
+    call rcbd_mpi_agree(comm, code, why)
+    if (failed(comm, code, why, stat, errmsg)) return
+  end subroutine
+
+  subroutine step_r8(comm, scene, x, result, ids, ids4, weights, options, stat, errmsg)
+    type(MPI_Comm), intent(in) :: comm
+    class(rcbd_scene), intent(in) :: scene
+    real(real64), intent(in), target :: x(:, :)
+    type(rcbd_step), intent(inout), optional :: result
+    integer(int64), intent(in), target, optional :: ids(:)
+    integer(int32), intent(in), optional :: ids4(:)
+    real(real64), intent(in), target, optional :: weights(:)
+    type(rcbd_step_options), intent(in), optional :: options
+    integer, intent(out), optional :: stat
+    character(*), intent(inout), optional :: errmsg
+    integer :: code
+    character(1024) :: why
+    call scene%step(x, result, ids, ids4, weights, options, code, why)
+    call end_step(comm, scene, code, why, stat, errmsg)
+  end subroutine
+
+  subroutine step_axes_r8(comm, scene, x, y, z, result, ids, ids4, weights, options, stat, errmsg)
+    type(MPI_Comm), intent(in) :: comm
+    class(rcbd_scene), intent(in) :: scene
+    real(real64), intent(in), target :: x(:)
+    real(real64), intent(in), target, optional :: y(:), z(:)
+    type(rcbd_step), intent(inout), optional :: result
+    integer(int64), intent(in), target, optional :: ids(:)
+    integer(int32), intent(in), optional :: ids4(:)
+    real(real64), intent(in), target, optional :: weights(:)
+    type(rcbd_step_options), intent(in), optional :: options
+    integer, intent(out), optional :: stat
+    character(*), intent(inout), optional :: errmsg
+    integer :: code
+    character(1024) :: why
+    call scene%step(x, y, z, result, ids, ids4, weights, options, code, why)
+    call end_step(comm, scene, code, why, stat, errmsg)
+  end subroutine
+
+  subroutine step_r4(comm, scene, x, result, ids, ids4, weights, options, stat, errmsg)
+    type(MPI_Comm), intent(in) :: comm
+    class(rcbd_scene), intent(in) :: scene
+    real(real32), intent(in), target :: x(:, :)
+    type(rcbd_step), intent(inout), optional :: result
+    integer(int64), intent(in), target, optional :: ids(:)
+    integer(int32), intent(in), optional :: ids4(:)
+    real(real64), intent(in), target, optional :: weights(:)
+    type(rcbd_step_options), intent(in), optional :: options
+    integer, intent(out), optional :: stat
+    character(*), intent(inout), optional :: errmsg
+    integer :: code
+    character(1024) :: why
+    call scene%step(x, result, ids, ids4, weights, options, code, why)
+    call end_step(comm, scene, code, why, stat, errmsg)
+  end subroutine
+
+  subroutine step_axes_r4(comm, scene, x, y, z, result, ids, ids4, weights, options, stat, errmsg)
+    type(MPI_Comm), intent(in) :: comm
+    class(rcbd_scene), intent(in) :: scene
+    real(real32), intent(in), target :: x(:)
+    real(real32), intent(in), target, optional :: y(:), z(:)
+    type(rcbd_step), intent(inout), optional :: result
+    integer(int64), intent(in), target, optional :: ids(:)
+    integer(int32), intent(in), optional :: ids4(:)
+    real(real64), intent(in), target, optional :: weights(:)
+    type(rcbd_step_options), intent(in), optional :: options
+    integer, intent(out), optional :: stat
+    character(*), intent(inout), optional :: errmsg
+    integer :: code
+    character(1024) :: why
+    call scene%step(x, y, z, result, ids, ids4, weights, options, code, why)
+    call end_step(comm, scene, code, why, stat, errmsg)
   end subroutine
 
   ! ---- routes ----
@@ -281,45 +392,65 @@ contains
   end function
   ! Sends entries, in one message for each process that there are some for. `from`, `to`: the numbers that go and come, as
   ! offsets. Entry e is row(e) of the lanes `of`, and comes to be the row first + e of the lanes `into`.
-  subroutine exchange(way, from, to, row, of, into, first)
+  logical function exchanged(way, from, to, row, of, into, first, stat, errmsg)
     type(routes), intent(in) :: way
     integer(int64), intent(in) :: from(0:), to(0:), row(:), first
     type(lane), intent(in) :: of(:), into(:)
+    integer, intent(out), optional :: stat
+    character(*), intent(inout), optional :: errmsg
     integer(int32), allocatable, asynchronous :: sent(:), got(:)
     integer(int64), allocatable :: sent_at(:), got_at(:)
     type(MPI_Request), allocatable :: request(:)
     type(MPI_Datatype), allocatable :: types(:)
-    integer(int32) :: p, used
+    type(MPI_Status), allocatable :: status(:)
+    integer(MPI_COUNT_KIND) :: elements
+    character(128) :: message
+    integer(int32) :: p, used, receives
     integer(int64) :: e
     call place(of, from, sent_at)
     call place(of, to, got_at)
-    allocate (sent(sent_at(way%size)), got(got_at(way%size)), request(2 * way%size), types(2 * way%size))
+    allocate (sent(sent_at(way%size)), got(got_at(way%size)), request(2 * way%size), &
+              types(2 * way%size), status(2 * way%size))
     used = 0
     do p = 0, way%size - 1
       if (p == way%rank .or. to(p + 1) == to(p)) cycle
       used = used + 1
-      types(used) = message(of, got_at(p), to(p + 1) - to(p))
+      types(used) = rows_type(of, got_at(p), to(p + 1) - to(p))
       call MPI_Irecv(got, 1_int32, types(used), p, tag, way%comm, request(used))
     end do
+    receives = used
     do p = 0, way%size - 1
       call pack_rows(of, row(from(p) + 1:from(p + 1)), sent(sent_at(p) + 1:sent_at(p + 1)))
       if (p == way%rank .or. from(p + 1) == from(p)) cycle
       used = used + 1
-      types(used) = message(of, sent_at(p), from(p + 1) - from(p))
+      types(used) = rows_type(of, sent_at(p), from(p + 1) - from(p))
       call MPI_Isend(sent, 1_int32, types(used), p, tag, way%comm, request(used))
     end do
     p = way%rank
     do e = 1, sent_at(p + 1) - sent_at(p)
       got(got_at(p) + e) = sent(sent_at(p) + e)
     end do
-    call MPI_Waitall(used, request, MPI_STATUSES_IGNORE)
+    call MPI_Waitall(used, request, status)
+    exchanged = .true.
     do p = 1, used
+      if (p <= receives) then
+        call MPI_Get_elements_x(status(p), types(p), elements)
+        associate (s => status(p)%MPI_SOURCE)
+          if (elements /= (to(s + 1) - to(s)) * sum(int(of%columns, int64))) then
+            exchanged = .false.
+            write (message, '(a, i0, a)') 'process ', s, ' has sent other arrays than are given here'
+          end if
+        end associate
+      end if
       call MPI_Type_free(types(p))
     end do
+    if (.not. exchanged) call rcbd_failed(rcbd_invalid_argument, trim(message) // &
+      '; give the same ones in the same order on all processes', stat, errmsg)
+    if (.not. exchanged) return
     do p = 0, way%size - 1
       call unpack_rows(into, first + to(p), to(p + 1) - to(p), got(got_at(p) + 1:got_at(p + 1)))
     end do
-  end subroutine
+  end function
 
   ! Words of so many rows; each lane begins where any type may.
   pure integer(int64) function words_of(one, rows)
@@ -345,7 +476,7 @@ contains
   end subroutine
 
   ! The rows of all lanes, after so many words of a buffer.
-  function message(lanes, skipped, rows) result(together)
+  function rows_type(lanes, skipped, rows) result(together)
     type(lane), intent(in) :: lanes(:)
     integer(int64), intent(in) :: skipped, rows
     type(MPI_Datatype) :: together
@@ -418,7 +549,7 @@ contains
     call sort_out(self, step, int(rows, int64), number, code, why)
     if (no_way(self%way, comm, number, code, why, stat, errmsg)) return
     self%before = rows
-    self%rows = size(self%stays) + self%way%in(self%way%size)
+    self%rows = size(self%stays, kind=int64) + self%way%in(self%way%size)
   end subroutine
 
   ! The rows that go, by process, and those that stay.
@@ -437,7 +568,8 @@ contains
     if (.not. allocated(step%leaving_row)) return
     why = 'rows leave that aren''t there, or for seats that no process has; give the rows of the step, and open the ' // &
       'scene with this communicator'
-    if (any(step%leaving_row > rows) .or. any(step%leaving_seat >= self%way%size) .or. rows < size(step%leaving_row)) return
+    if (any(step%leaving_row > rows) .or. any(step%leaving_seat >= self%way%size)) return
+    if (rows < size(step%leaving_row, kind=int64)) return
     code = rcbd_ok
     do k = 1, size(step%leaving_seat, kind=int64)
       number(step%leaving_seat(k)) = number(step%leaving_seat(k)) + 1
@@ -448,10 +580,10 @@ contains
       next(p) = next(p - 1) + number(p - 1)
     end do
     if (allocated(self%stays)) deallocate (self%stays, self%way%row)
-    allocate (self%stays(rows - size(step%leaving_row)), self%way%row(size(step%leaving_row)))
+    allocate (self%stays(rows - size(step%leaving_row, kind=int64)), self%way%row(size(step%leaving_row, kind=int64)))
     left = 0
     do row = 1, rows
-      if (left < size(step%leaving_row)) then
+      if (left < size(step%leaving_row, kind=int64)) then
         if (step%leaving_row(left + 1) == row) then
           left = left + 1
           p = step%leaving_seat(left)
@@ -465,15 +597,18 @@ contains
   end subroutine
 
   ! The rows of an array that stay, and those that come, in the larger or smaller one that takes its place.
-  subroutine move_rows(self, of, into)
+  logical function moved_rows(self, of, into, stat, errmsg)
     class(rcbd_mpi_moves), intent(in) :: self
     type(lane), intent(in) :: of, into
+    integer, intent(out), optional :: stat
+    character(*), intent(inout), optional :: errmsg
     integer(int64) :: k
     do k = 1, size(self%stays, kind=int64)
       into%word(:, k) = of%word(:, self%stays(k))
     end do
-    call exchange(self%way, self%way%out, self%way%in, self%way%row, [of], [into], size(self%stays, kind=int64))
-  end subroutine
+    moved_rows = exchanged(self%way, self%way%out, self%way%in, self%way%row, [of], [into], size(self%stays, kind=int64), &
+                           stat, errmsg)
+  end function
 
   subroutine move_i4_1(self, a, stat, errmsg)
     class(rcbd_mpi_moves), intent(in) :: self
@@ -483,7 +618,7 @@ contains
     integer(int32), allocatable, target :: moved(:)
     if (wrong(self%way, size(a, kind=int64), self%before, stat, errmsg)) return
     allocate (moved(self%rows))
-    call move_rows(self, as_lane(a), as_lane(moved))
+    if (.not. moved_rows(self, as_lane(a), as_lane(moved), stat, errmsg)) return
     call move_alloc(moved, a)
   end subroutine
 
@@ -495,7 +630,7 @@ contains
     integer(int32), allocatable, target :: moved(:, :)
     if (wrong(self%way, size(a, 2, kind=int64), self%before, stat, errmsg)) return
     allocate (moved(size(a, 1), self%rows))
-    call move_rows(self, as_lane(a), as_lane(moved))
+    if (.not. moved_rows(self, as_lane(a), as_lane(moved), stat, errmsg)) return
     call move_alloc(moved, a)
   end subroutine
 
@@ -507,7 +642,7 @@ contains
     integer(int64), allocatable, target :: moved(:)
     if (wrong(self%way, size(a, kind=int64), self%before, stat, errmsg)) return
     allocate (moved(self%rows))
-    call move_rows(self, as_lane(a), as_lane(moved))
+    if (.not. moved_rows(self, as_lane(a), as_lane(moved), stat, errmsg)) return
     call move_alloc(moved, a)
   end subroutine
 
@@ -519,7 +654,7 @@ contains
     integer(int64), allocatable, target :: moved(:, :)
     if (wrong(self%way, size(a, 2, kind=int64), self%before, stat, errmsg)) return
     allocate (moved(size(a, 1), self%rows))
-    call move_rows(self, as_lane(a), as_lane(moved))
+    if (.not. moved_rows(self, as_lane(a), as_lane(moved), stat, errmsg)) return
     call move_alloc(moved, a)
   end subroutine
 
@@ -531,7 +666,7 @@ contains
     real(real32), allocatable, target :: moved(:)
     if (wrong(self%way, size(a, kind=int64), self%before, stat, errmsg)) return
     allocate (moved(self%rows))
-    call move_rows(self, as_lane(a), as_lane(moved))
+    if (.not. moved_rows(self, as_lane(a), as_lane(moved), stat, errmsg)) return
     call move_alloc(moved, a)
   end subroutine
 
@@ -543,7 +678,7 @@ contains
     real(real32), allocatable, target :: moved(:, :)
     if (wrong(self%way, size(a, 2, kind=int64), self%before, stat, errmsg)) return
     allocate (moved(size(a, 1), self%rows))
-    call move_rows(self, as_lane(a), as_lane(moved))
+    if (.not. moved_rows(self, as_lane(a), as_lane(moved), stat, errmsg)) return
     call move_alloc(moved, a)
   end subroutine
 
@@ -555,7 +690,7 @@ contains
     real(real64), allocatable, target :: moved(:)
     if (wrong(self%way, size(a, kind=int64), self%before, stat, errmsg)) return
     allocate (moved(self%rows))
-    call move_rows(self, as_lane(a), as_lane(moved))
+    if (.not. moved_rows(self, as_lane(a), as_lane(moved), stat, errmsg)) return
     call move_alloc(moved, a)
   end subroutine
 
@@ -567,7 +702,7 @@ contains
     real(real64), allocatable, target :: moved(:, :)
     if (wrong(self%way, size(a, 2, kind=int64), self%before, stat, errmsg)) return
     allocate (moved(size(a, 1), self%rows))
-    call move_rows(self, as_lane(a), as_lane(moved))
+    if (.not. moved_rows(self, as_lane(a), as_lane(moved), stat, errmsg)) return
     call move_alloc(moved, a)
   end subroutine
 
@@ -590,36 +725,57 @@ contains
     call MPI_Comm_size(comm, self%way%size)
     allocate (number(0:self%way%size - 1))
     number = 0
-    code = rcbd_invalid_argument
-    why = 'the halo''s lists aren''t for as many seats as there are processes, or of other rows; give cuts%halo() the option ' // &
-      'seats and the rows that are here now'
-    if (allocated(lists%offset)) then
-      if (size(lists%offset) == self%way%size + 1 .and. .not. any(lists%row > rows)) then
-        number(:) = lists%offset(1:) - lists%offset(:self%way%size - 1)
-        code = rcbd_ok
-      end if
-    end if
+    call check_lists(lists, near, self%way, int(rows, int64), code, why)
+    if (code == rcbd_ok) number(:) = lists%offset(1:) - lists%offset(:self%way%size - 1)
     if (no_way(self%way, comm, number, code, why, stat, errmsg)) return
     self%rows = rows
     self%ghosts = self%way%in(self%way%size)
     if (allocated(self%way%row)) deallocate (self%way%row)
-    allocate (self%way%row(size(lists%row)))
+    allocate (self%way%row(size(lists%row, kind=int64)))
     self%way%row(:) = lists%row
-    call tell_shifts(self, lists, near)
+    call tell_shifts(self, lists, near, stat, errmsg)
+  end subroutine
+
+  ! Whether a plan can be made of these lists on this process: of all rows, which are its own, with the distance they are for.
+  subroutine check_lists(lists, near, way, rows, code, why)
+    type(rcbd_halo), intent(in) :: lists
+    type(rcbd_near), intent(in) :: near
+    type(routes), intent(in) :: way
+    integer(int64), intent(in) :: rows
+    integer, intent(out) :: code
+    character(*), intent(out) :: why
+    logical :: fits
+    code = rcbd_invalid_argument
+    why = 'the halo''s lists aren''t for as many seats as there are processes, or of other rows; give cuts%halo() the option ' // &
+      'seats and the rows that are here now'
+    if (.not. (allocated(lists%offset) .and. allocated(lists%of_seat))) return
+    if (size(lists%of_seat) /= way%size .or. sum(lists%of_seat) /= rows) return
+    if (lists%of_seat(way%rank) /= rows) then
+      write (why, '(2(i0, a))') rows - lists%of_seat(way%rank), ' of ', rows, ' rows belong to other processes; hand them ' // &
+        'over after the step (rcbd_mpi_moves), and give cuts%halo() the ids of the step'
+      return
+    end if
+    fits = .not. any(lists%shift /= 0)
+    if (.not. fits .and. allocated(near%lo) .and. allocated(near%hi)) &
+      fits = size(near%lo) == size(lists%shift, 1) .and. size(near%hi) == size(lists%shift, 1)
+    why = 'the halo''s lists have shifts, and `near` has no periodic box; give the one that cuts%halo() was given'
+    if (fits) code = rcbd_ok
   end subroutine
 
   ! Tells those that get entries by how much each is shifted.
-  subroutine tell_shifts(self, lists, near)
+  subroutine tell_shifts(self, lists, near, stat, errmsg)
     class(rcbd_mpi_halo), intent(inout), target :: self
     type(rcbd_halo), intent(in) :: lists
     type(rcbd_near), intent(in) :: near
+    integer, intent(out), optional :: stat
+    character(*), intent(inout), optional :: errmsg
     real(real64), allocatable, target :: mine(:, :)
     integer(int64), allocatable :: entry(:)
     integer(int64) :: k
     integer :: dims, a
     dims = size(lists%shift, 1)
     if (allocated(self%shift)) deallocate (self%shift)
-    allocate (self%shift(dims, self%ghosts), mine(dims, size(lists%row)), entry(size(lists%row)))
+    allocate (self%shift(dims, self%ghosts), mine(dims, size(lists%row, kind=int64)), entry(size(lists%row, kind=int64)))
     mine = 0
     do k = 1, size(entry, kind=int64)
       entry(k) = k
@@ -627,7 +783,8 @@ contains
         if (lists%shift(a, k) /= 0) mine(a, k) = lists%shift(a, k) * (near%hi(a) - near%lo(a))
       end do
     end do
-    call exchange(self%way, self%way%out, self%way%in, entry, [as_lane(mine)], [as_lane(self%shift)], 0_int64)
+    if (.not. exchanged(self%way, self%way%out, self%way%in, entry, [as_lane(mine)], [as_lane(self%shift)], 0_int64, &
+                        stat, errmsg)) return
   end subroutine
 
   subroutine append(lanes, used, one)
@@ -659,22 +816,23 @@ contains
     do k = 1, size(lanes)
       if (wrong(self%way, size(lanes(k)%word, 2, kind=int64), self%rows + self%ghosts, stat, errmsg)) return
     end do
-    call exchange(self%way, self%way%out, self%way%in, self%way%row, lanes, lanes, self%rows)
-    filled = .true.
+    filled = exchanged(self%way, self%way%out, self%way%in, self%way%row, lanes, lanes, self%rows, stat, errmsg)
   end function
 
   ! The ghosts' rows of an array, at those that they are of: entry e is of row self%way%row(e).
-  subroutine bring_home(self, of, into)
+  logical function brought_home(self, of, into, stat, errmsg)
     class(rcbd_mpi_halo), intent(in) :: self
     type(lane), intent(in) :: of, into
+    integer, intent(out), optional :: stat
+    character(*), intent(inout), optional :: errmsg
     integer(int64), allocatable :: ghost(:)
     integer(int64) :: k
     allocate (ghost(self%ghosts))
     do k = 1, self%ghosts
       ghost(k) = self%rows + k
     end do
-    call exchange(self%way, self%way%in, self%way%out, ghost, [of], [into], 0_int64)
-  end subroutine
+    brought_home = exchanged(self%way, self%way%in, self%way%out, ghost, [of], [into], 0_int64, stat, errmsg)
+  end function
 
   subroutine forward_i4_1(self, a, b, c, d, stat, errmsg)
     class(rcbd_mpi_halo), intent(in) :: self
@@ -900,8 +1058,8 @@ contains
     integer(int32), allocatable, target :: home(:)
     integer(int64) :: k
     if (wrong(self%way, size(a, kind=int64), self%rows + self%ghosts, stat, errmsg)) return
-    allocate (home(size(self%way%row)))
-    call bring_home(self, as_lane(a), as_lane(home))
+    allocate (home(size(self%way%row, kind=int64)))
+    if (.not. brought_home(self, as_lane(a), as_lane(home), stat, errmsg)) return
     do k = 1, size(self%way%row, kind=int64)
       a(self%way%row(k)) = a(self%way%row(k)) + home(k)
     end do
@@ -915,8 +1073,8 @@ contains
     integer(int32), allocatable, target :: home(:, :)
     integer(int64) :: k
     if (wrong(self%way, size(a, 2, kind=int64), self%rows + self%ghosts, stat, errmsg)) return
-    allocate (home(size(a, 1), size(self%way%row)))
-    call bring_home(self, as_lane(a), as_lane(home))
+    allocate (home(size(a, 1), size(self%way%row, kind=int64)))
+    if (.not. brought_home(self, as_lane(a), as_lane(home), stat, errmsg)) return
     do k = 1, size(self%way%row, kind=int64)
       a(:, self%way%row(k)) = a(:, self%way%row(k)) + home(:, k)
     end do
@@ -930,8 +1088,8 @@ contains
     integer(int64), allocatable, target :: home(:)
     integer(int64) :: k
     if (wrong(self%way, size(a, kind=int64), self%rows + self%ghosts, stat, errmsg)) return
-    allocate (home(size(self%way%row)))
-    call bring_home(self, as_lane(a), as_lane(home))
+    allocate (home(size(self%way%row, kind=int64)))
+    if (.not. brought_home(self, as_lane(a), as_lane(home), stat, errmsg)) return
     do k = 1, size(self%way%row, kind=int64)
       a(self%way%row(k)) = a(self%way%row(k)) + home(k)
     end do
@@ -945,8 +1103,8 @@ contains
     integer(int64), allocatable, target :: home(:, :)
     integer(int64) :: k
     if (wrong(self%way, size(a, 2, kind=int64), self%rows + self%ghosts, stat, errmsg)) return
-    allocate (home(size(a, 1), size(self%way%row)))
-    call bring_home(self, as_lane(a), as_lane(home))
+    allocate (home(size(a, 1), size(self%way%row, kind=int64)))
+    if (.not. brought_home(self, as_lane(a), as_lane(home), stat, errmsg)) return
     do k = 1, size(self%way%row, kind=int64)
       a(:, self%way%row(k)) = a(:, self%way%row(k)) + home(:, k)
     end do
@@ -960,8 +1118,8 @@ contains
     real(real32), allocatable, target :: home(:)
     integer(int64) :: k
     if (wrong(self%way, size(a, kind=int64), self%rows + self%ghosts, stat, errmsg)) return
-    allocate (home(size(self%way%row)))
-    call bring_home(self, as_lane(a), as_lane(home))
+    allocate (home(size(self%way%row, kind=int64)))
+    if (.not. brought_home(self, as_lane(a), as_lane(home), stat, errmsg)) return
     do k = 1, size(self%way%row, kind=int64)
       a(self%way%row(k)) = a(self%way%row(k)) + home(k)
     end do
@@ -975,8 +1133,8 @@ contains
     real(real32), allocatable, target :: home(:, :)
     integer(int64) :: k
     if (wrong(self%way, size(a, 2, kind=int64), self%rows + self%ghosts, stat, errmsg)) return
-    allocate (home(size(a, 1), size(self%way%row)))
-    call bring_home(self, as_lane(a), as_lane(home))
+    allocate (home(size(a, 1), size(self%way%row, kind=int64)))
+    if (.not. brought_home(self, as_lane(a), as_lane(home), stat, errmsg)) return
     do k = 1, size(self%way%row, kind=int64)
       a(:, self%way%row(k)) = a(:, self%way%row(k)) + home(:, k)
     end do
@@ -990,8 +1148,8 @@ contains
     real(real64), allocatable, target :: home(:)
     integer(int64) :: k
     if (wrong(self%way, size(a, kind=int64), self%rows + self%ghosts, stat, errmsg)) return
-    allocate (home(size(self%way%row)))
-    call bring_home(self, as_lane(a), as_lane(home))
+    allocate (home(size(self%way%row, kind=int64)))
+    if (.not. brought_home(self, as_lane(a), as_lane(home), stat, errmsg)) return
     do k = 1, size(self%way%row, kind=int64)
       a(self%way%row(k)) = a(self%way%row(k)) + home(k)
     end do
@@ -1005,8 +1163,8 @@ contains
     real(real64), allocatable, target :: home(:, :)
     integer(int64) :: k
     if (wrong(self%way, size(a, 2, kind=int64), self%rows + self%ghosts, stat, errmsg)) return
-    allocate (home(size(a, 1), size(self%way%row)))
-    call bring_home(self, as_lane(a), as_lane(home))
+    allocate (home(size(a, 1), size(self%way%row, kind=int64)))
+    if (.not. brought_home(self, as_lane(a), as_lane(home), stat, errmsg)) return
     do k = 1, size(self%way%row, kind=int64)
       a(:, self%way%row(k)) = a(:, self%way%row(k)) + home(:, k)
     end do

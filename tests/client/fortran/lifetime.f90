@@ -6,13 +6,18 @@ program lifetime
     type(rcbd_scene) :: scene
     integer :: k = 0
   end type
-  select case (asked_for(['scopes    ', 'copies    ', 'components', 'arrays    ', 'results   ', 'begun     ', 'notices   ']))
+  select case (asked_for(['scopes    ', 'copies    ', 'components', 'restored  ', 'grown     ', 'arrays    ', 'results   ', &
+                          'begun     ', 'notices   ']))
   case ('scopes')
     call scopes()
   case ('copies')
     call copies()
   case ('components')
     call components()
+  case ('restored')
+    call restored()
+  case ('grown')
+    call grown()
   case ('arrays')
     call arrays()
   case ('results')
@@ -136,6 +141,47 @@ contains
     copy = it
     other = copy
     other = solver(scene=copy%scene, k=1)
+  end subroutine
+
+  ! A copy that comes back to where it was made when what it holds is long released, and another variable's handle in its place.
+  subroutine restored()
+    type(solver) :: now, saved
+    type(rcbd_scene) :: other
+    type(rcbd_client) :: client
+    integer :: k
+    call connect(client)
+    do k = 1, 20
+      call now%scene%open(client, 'restored', rcbd_scene_options(parts=8, replace=.true.))
+      saved = now
+      now = saved
+      call now%scene%step(x)
+      call now%scene%release()
+      call other%open(client, 'other', rcbd_scene_options(parts=8, replace=.true.))
+      now = saved
+      call now%scene%step(x, stat=stat, errmsg=why)
+      call failed(rcbd_invalid_argument, 'NULL')
+      call now%scene%release()
+      call saved%scene%release()
+      call check(other%last_step() == -1, 'the other scene was not stepped')
+      call other%step(x)
+      call other%release()
+    end do
+  end subroutine
+
+  ! An array of types that have handles is made longer: the copies are null handles, those of components by themselves hold.
+  subroutine grown()
+    type(solver), allocatable :: some(:), more(:)
+    allocate (some(2), more(3))
+    call open_new(some(1)%scene, 'grown')
+    call open_new(some(2)%scene, 'lost')
+    more(:2) = some
+    more(1)%scene = some(1)%scene
+    deallocate (some)
+    call move_alloc(more, some)
+    call some(1)%scene%step(x)
+    call check(.not. is_free('grown'), 'the component that was copied by itself holds the scene')
+    call some(2)%scene%step(x, stat=stat, errmsg=why)
+    if (stat /= rcbd_ok) call failed(rcbd_invalid_argument, 'NULL')
   end subroutine
 
   ! Arrays are touched after growth, steps, close and the end of everything.

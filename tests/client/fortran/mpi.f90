@@ -19,7 +19,7 @@ program mpi
   character(20) :: name
   real(real64), allocatable :: lo(:, :), hi(:, :)
   integer :: k
-  name = asked_for(['moves ', 'ghosts', 'wrong ', 'agreed'])
+  name = asked_for(['moves ', 'ghosts', 'wrong ', 'others', 'agreed', 'steps '])
   if (name == '') stop
   call MPI_Init()
   comm = MPI_COMM_WORLD
@@ -30,7 +30,7 @@ program mpi
   id = [(int(k, int64), k = 0, n - 1)]
   if (processes > 1) id = pack(id, merge(0, 1, rank == 0) * (1 + mod(id, processes - 1_int64)) == rank .and. rank > 0)  ! 0 has none
   if (name /= 'agreed') then
-    call connect(client)
+    call rcbd_mpi_connect(comm, client, endpoint)
     call rcbd_mpi_scene_open(comm, scene, client, name, rcbd_scene_options(parts=2 * processes, replace=.true.))
   end if
   select case (name)
@@ -48,6 +48,11 @@ program mpi
   case ('wrong')
     call push()
     call wrong()
+  case ('others')
+    call push()
+    call others()
+  case ('steps')
+    call steps()
   case ('agreed')
     call agreed()
   end select
@@ -72,7 +77,7 @@ contains
     i8(1, :) = -id
     r42(5, :) = r4
     r82 = x(:, id + 1)
-    call scene%step(r82, step, ids=id)
+    call rcbd_mpi_step(comm, scene, r82, step, ids=id)
     call moves%make(comm, step, size(id))
     call moves%move(id)
     call moves%move(i4)
@@ -253,6 +258,60 @@ contains
     call failed(rcbd_invalid_argument, 'should be')
     call no_moves%make(comm, step, merge(0, size(id), rank == processes - 1), stat, why)  ! one process has other rows
     if (stat /= rcbd_ok) call failed(rcbd_invalid_argument, 'process')
+  end subroutine
+
+  ! Plans of rows that weren't handed over, or with another distance, and arrays that differ from process to process.
+  subroutine others()
+    type(rcbd_halo) :: lists
+    type(rcbd_near) :: no_box
+    real(real64), allocatable :: a(:, :)
+    integer(int64), allocatable :: few(:)
+    integer :: i
+    few = [(int(i, int64), i = rank, n - 1, processes)]
+    call cuts%halo(x(:, few + 1), near, lists, ids=few, options=rcbd_ask_options(seats=processes))
+    call halo%make(comm, lists, near, size(few), stat, why)
+    if (processes > 1) call failed(rcbd_invalid_argument, 'rows belong to other processes')
+    call make_plan()
+    call cuts%halo(x(:, id + 1), near, lists, ids=id, options=rcbd_ask_options(seats=processes))
+    no_box = rcbd_near(width=near%width)
+    call halo%make(comm, lists, no_box, size(id), stat, why)
+    call failed(rcbd_invalid_argument, 'periodic box')
+    call halo%make(comm, lists, near, size(id) - 1, stat, why)
+    call failed(rcbd_invalid_argument, 'other rows')
+    ! The last process sends one row to process 0, of an array that has fewer columns than process 0's.
+    lists%offset(:) = merge(1, 0, rank == processes - 1)
+    lists%offset(0) = 0
+    lists%row = lists%row(:lists%offset(processes))
+    lists%shift = 0 * lists%shift(:, :lists%offset(processes))
+    call halo%make(comm, lists, near, size(id), stat, why)
+    call check(stat == rcbd_ok, 'a plan of one row')
+    allocate (a(merge(1, 2, rank == processes - 1), halo%rows + halo%ghosts))
+    a = 7
+    call halo%forward(a, stat=stat, errmsg=why)
+    if (rank == 0 .and. processes > 1) call failed(rcbd_invalid_argument, 'has sent other arrays')
+    call check(stat == rcbd_ok, 'all others have what they expect')
+  end subroutine
+
+  ! A step that fails on process 0 fails on all, with its words.
+  subroutine steps()
+    real(real32) :: axis(5)
+    integer(int32) :: ids(5)
+    axis = 0.5
+    ids = [(int(5 * rank + k, int32), k = 1, 5)]
+    call rcbd_mpi_step(comm, scene, axis, axis, axis, ids4=ids, stat=stat, errmsg=why)
+    call check(stat == rcbd_ok, 'a step of single precision, by axis')
+    call rcbd_mpi_step(comm, scene, axis(:merge(4, 5, rank == 0)), axis, axis, ids4=ids, stat=stat, errmsg=why, &
+                       options=rcbd_step_options(deadline_seconds=1))
+    call failed(rcbd_invalid_argument, 'process 0: ')
+    call rcbd_mpi_agree(comm, stat, why)
+    call check(stat == rcbd_ok, 'no failure')
+    stat = rcbd_io_error
+    why = 'no disk'
+    call rcbd_mpi_agree(comm, stat, why)
+    call rcbd_mpi_agree(comm, stat, why)
+    call failed(rcbd_io_error, 'process 0: no disk')
+    call rcbd_mpi_connect(comm, client, 'unix:/nonexistent/rcbd.sock', stat=stat, errmsg=why)
+    call failed(rcbd_unavailable, 'process 0: ')
   end subroutine
 
   ! What fails on the last process fails on all, in its words.
