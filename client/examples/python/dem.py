@@ -2,8 +2,9 @@
 own parts; of the others' it has copies of those that may touch them, the ghosts. At the start spheres fill half of the box, in
 two layers that flow past each other.
 
-All bits are the same on any number of processes, and in the other languages: a contact is computed once, by the process that
-has the sphere of the lower id, by + - * / and sqrt alone, one after the other, and forces are summed as integers."""
+All bits are the same on any number of processes with the same --parts (default: the number of processes), and in the other
+languages: a contact is computed once, by the process that has the sphere of the lower id, by + - * / and sqrt alone, one after
+the other, and forces are summed as integers."""
 import argparse
 import math
 import os
@@ -82,11 +83,7 @@ def push(comm, scene, side, x, v, ids):
     """Tells where my spheres are, and hands over those that leave. Returns what I have then, and the step's report."""
     with rcbd.mpi.together(comm):
         rcbd.wrap(x, 0, side)
-        try:
-            step = scene.step(x, ids)
-        except BaseException:
-            scene.close()  # so that no other process waits for this one
-            raise
+    step = rcbd.mpi.step(comm, scene, x, ids)
     x, v, ids = rcbd.mpi.hand_over(comm, step, x, v, ids)
     return x, v, ids, step.report
 

@@ -49,7 +49,7 @@ Status Scene::State::check(const StepRequest& ask) const {
   const StepOptions& options = ask.options;
   if (positions.dims != dims_)
     return wrong(fmt::format("positions of {} dimensions, the scene has {}", positions.dims, dims_),
-                 "create the scene with the positions' dims");
+                 fmt::format("make the scene with dims {}, in place of this one (replace)", positions.dims));
   for (std::size_t a = 0; positions.count > 0 && a < static_cast<std::size_t>(dims_); ++a)
     if (positions.single() ? positions.axis_f4[a] == nullptr : positions.axis[a] == nullptr)
       return wrong(fmt::format("no array for axis {}", kAxisNames[a]), "give one array an axis");

@@ -24,9 +24,13 @@ says how particles and halos go from one to another.
 
 To see the parts of a plane, with matplotlib:
 
-    plt.scatter(xyz[:, 0], xyz[:, 1], c=step.parts, cmap="tab20", s=2)
+    step = client.scene("plane", parts=8, dims=2, replace=True).step(xy)
+    plt.scatter(xy[:, 0], xy[:, 1], c=step.parts, cmap="tab20", s=2)
 
-Failures are rcbd.Error; wrong types and shapes of arrays TypeError and ValueError. Ctrl-C ends a call that waits. What is
+In a notebook connect once, and open a scene again with the same client: another one would wait for the first to close it.
+
+Failures are rcbd.Error, also a step's positions of other dims than the scene's; wrong types and shapes of arrays TypeError and
+ValueError. Ctrl-C ends a call that waits. What is
 waited for is logged as warnings of the logger "rcbd" (logging). Arrays that the package gives are no copies, and stay valid
 whatever happens to what gave them. Lengths are in the unit of the positions, times in seconds; rows, parts, seats and steps
 count from 0. The library is looked for as RCBD_LIBRARY says, else beside the package, in the `lib` that it is below, in the

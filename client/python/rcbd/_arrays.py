@@ -2,12 +2,16 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Any, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Optional, Tuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from ._library import Error, Handle, Positions, packing
+
+if TYPE_CHECKING:  # which NumPy has since 1.21
+    from numpy.typing import ArrayLike, NDArray
+
+    Periodic = Optional[Tuple[ArrayLike, ArrayLike]]
 
 F8, F4 = np.dtype(np.float64), np.dtype(np.float32)
 I8, I4 = np.dtype(np.int64), np.dtype(np.int32)
@@ -67,22 +71,33 @@ def positions_of(array: NDArray[Any]) -> bytes:
 
 def ids_array(ids: ArrayLike, count: int) -> NDArray[np.int64]:
     """(count) of int64, contiguous. Integers of other sizes are converted."""
-    array = _plain(ids, "ids")
+    return _integers(ids, I8, count, "ids")
+
+
+def parts_array(parts: ArrayLike, count: int, what: str) -> NDArray[np.int32]:
+    """(count) of int32, likewise."""
+    return _integers(parts, I4, count, what)
+
+
+def _integers(values: ArrayLike, dtype: np.dtype[Any], count: int, what: str) -> NDArray[Any]:
+    array = _plain(values, what)
     if array.dtype.kind not in "iu" and array.size:
-        raise TypeError(f"ids of type {array.dtype}; give integers")
-    if array.dtype.kind == "u" and array.itemsize == 8 and array.size and int(array.max()) > np.iinfo(I8).max:
-        raise TypeError("ids beyond 2^63 - 1")
-    return _column(array, I8, count, "ids")
+        raise TypeError(f"{what} of type {array.dtype}; give integers")
+    if array.size and not np.can_cast(array.dtype, dtype):
+        least, most = np.iinfo(dtype).min, np.iinfo(dtype).max
+        if int(array.min()) < least or int(array.max()) > most:
+            raise TypeError(f"{what} beyond {least} to {most}")
+    return _column(array, dtype, count, what)
 
 
-def floats_array(values: ArrayLike, count: int, what: str) -> NDArray[np.float64]:
+def floats_array(values: ArrayLike, count: int, what: str, each: str = "row") -> NDArray[np.float64]:
     """(count) of float64, contiguous."""
-    return _column(_as_floats(values, what), F8, count, what)
+    return _column(_as_floats(values, what), F8, count, what, each)
 
 
-def _column(array: NDArray[Any], dtype: np.dtype[Any], count: int, what: str) -> NDArray[Any]:
+def _column(array: NDArray[Any], dtype: np.dtype[Any], count: int, what: str, each: str = "row") -> NDArray[Any]:
     if array.shape != (count,):
-        raise ValueError(f"{what} of shape {array.shape} for {count} rows; give one a row")
+        raise ValueError(f"{what} of shape {array.shape} for {count} {each}s; give one a {each}")
     return np.require(array, dtype, ["C", "A"])
 
 
@@ -92,9 +107,6 @@ def bounds_array(bounds: ArrayLike, dims: int, what: str) -> NDArray[np.float64]
     if array.shape not in ((), (dims,)):
         raise ValueError(f"{what} of shape {array.shape}; give a number, or one an axis ({dims})")
     return np.ascontiguousarray(np.broadcast_to(array, (dims,)), F8)
-
-
-Periodic = Optional[Tuple[ArrayLike, ArrayLike]]
 
 
 def box_arrays(box: Periodic, dims: int) -> Optional[Tuple[NDArray[np.float64], NDArray[np.float64]]]:

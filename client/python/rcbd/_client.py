@@ -1,13 +1,14 @@
 """Clients and scenes."""
 from __future__ import annotations
 
+import os
+import sys
 from ctypes import byref, c_int64
 from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Optional, Type, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from . import _arrays as arrays
 from ._cuts import Cuts
@@ -17,6 +18,7 @@ from ._waiting import QUICK_SECONDS, interruptible, log_notices
 
 if TYPE_CHECKING:
     from mpi4py import MPI
+    from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 _T = TypeVar("_T")
 
@@ -47,14 +49,14 @@ class _Closing:
         self.close()
 
 
-def connect(endpoint: Optional[str] = None, *, name: str = "python", token: Optional[str] = None,
+def connect(endpoint: Optional[str] = None, *, name: Optional[str] = None, token: Optional[str] = None,
             path: Optional[str] = None, deadline_seconds: float = 5.0, outlive: bool = True) -> Client:
     """Connects to a service.
 
     Args:
         endpoint: "unix:PATH", "HOST:PORT" or "file:PATH"; None: RCBD_ENDPOINT, else the user's socket, else
             127.0.0.1:7470.
-        name: how messages of the service call this client.
+        name: how messages of the service call this client; None: as the script's file.
         token: for TCP; None: RCBD_TOKEN, else that of the file RCBD_TOKEN_FILE, else that of a service on this machine.
         path: how positions go to the service's ranks: "auto", "shared", "direct" or "gateway"; None: RCBD_PATH, or auto.
         deadline_seconds: at most this long.
@@ -63,12 +65,17 @@ def connect(endpoint: Optional[str] = None, *, name: str = "python", token: Opti
     Raises:
         Error: unavailable (no service), not_authorised, deadline_exceeded, invalid_argument.
     """
-    options = ConnectOptions(name=_text(name, "name"), token=_text(token, "token"), path=_text(path, "path"),
+    options = ConnectOptions(name=_text(_own_name() if name is None else name, "name"), token=_text(token, "token"), path=_text(path, "path"),
                              deadline_seconds=deadline_seconds, outlive=bool(outlive))
     where = _text(endpoint, "endpoint")
     handle = Handle()
     interruptible(lambda: check(lib.rcbd_connect(where, byref(options), handle.out())))
-    return Client(handle)
+    return Client(handle, endpoint or os.environ.get("RCBD_ENDPOINT") or "this machine")
+
+
+def _own_name() -> str:
+    script = os.path.basename(str(getattr(sys, "argv", [""])[0]))
+    return script if script.isprintable() and script not in ("", "-c", "-m") else "python"
 
 
 class Client(_Closing):
@@ -79,8 +86,12 @@ class Client(_Closing):
     service has come back, is logged as warnings of the logger "rcbd".
     """
 
-    def __init__(self, handle: Handle) -> None:
+    def __init__(self, handle: Handle, where: str) -> None:
         self._handle = handle
+        self._where = where
+
+    def __repr__(self) -> str:
+        return f"<rcbd.Client of {self._where}>"
 
     def scene(self, name: str, parts: int = 0, tolerance: float = 0.1, replace: bool = False,
               comm: Optional[MPI.Comm] = None, *, dims: int = 3, method: str = "rcb", policy: str = "tolerance",
@@ -120,7 +131,7 @@ class Client(_Closing):
                                   axis_hysteresis=axis_hysteresis, cut_tolerance=cut_tolerance, threads=threads,
                                   deadline_seconds=deadline_seconds)
         parts = arrays.whole(parts, "parts")
-        sizes = None if part_sizes is None else arrays.floats_array(part_sizes, max(parts, 0), "part_sizes")
+        sizes = None if part_sizes is None else arrays.floats_array(part_sizes, max(parts, 0), "part_sizes", "part")
         options = SceneOptions(
             parts=parts, dims=arrays.whole(dims, "dims"), method=_text(method, "method"), policy=_text(policy, "policy"),
             positions=_text(positions, "positions"), part_sizes=None if sizes is None else arrays.address(sizes),
@@ -128,7 +139,7 @@ class Client(_Closing):
             threads=arrays.whole(threads, "threads"), seat=arrays.whole(seat, "seat"), seats=arrays.whole(seats, "seats"),
             deadline_seconds=deadline_seconds)
         called = _text(name, "name")
-        handle = Handle()
+        handle = Handle(sizes)  # until the call is over, also where Ctrl-C has ended the wait for it
         interruptible(lambda: check(lib.rcbd_scene_open(self._handle.pointer, called, byref(options), handle.out())),
                        self._handle)
         return Scene(handle, self._handle, name)
@@ -209,8 +220,8 @@ class Scene(_Closing):
             inserted, removed: how many of this process' particles are new since the last step, and how many are gone. Ids
                 are required then.
             step_seconds: computing time of the solver since its last step, for the policy "cost".
-            want_parts, want_changed: whether Step.parts and Step.changed will be asked for. They take about a
-                millisecond for a million rows.
+            want_parts, want_changed: whether Step.parts and Step.changed will be asked for (in the other languages they
+                are off unless set). They take about a millisecond for a million rows.
             send: the positions travel, also where the scene ("when-needed") does without.
             threads: at most so many, or as many as the scene's, if that is more.
             deadline_seconds: at most this long.
@@ -223,7 +234,10 @@ class Scene(_Closing):
         """
         ask = Ask(xyz, ids, weights, step, inserted, removed, step_seconds, want_parts, want_changed, send, threads,
                   deadline_seconds)
-        self._cuts_known = want_parts or want_changed  # with either the library has the cuts after each step
+        return self._make(ask)
+
+    def _make(self, ask: Ask) -> Step:
+        self._cuts_known = ask.wants
         began = monotonic()
         try:
             return make(self._handle, self._client, ask)
@@ -243,7 +257,7 @@ class Scene(_Closing):
         """
         ask = Ask(xyz, ids, weights, step, inserted, removed, step_seconds, want_parts, want_changed, send, threads,
                   deadline_seconds)
-        self._cuts_known = want_parts or want_changed
+        self._cuts_known = ask.wants
         return begin(self._handle, self._client, ask)
 
     @property

@@ -2,14 +2,17 @@
 from __future__ import annotations
 
 from ctypes import byref, c_double, c_int32
-from typing import Any, Iterator, NamedTuple, Optional, Tuple, Union
+from typing import TYPE_CHECKING, Any, Iterator, NamedTuple, Optional, Tuple, Union
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from . import _arrays as arrays
-from ._arrays import Periodic
 from ._library import AskOptions, CutsInfo, Error, Handle, ListsView, Near, check, lib
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from ._arrays import Periodic
 
 _NORMS = {"max": 0, "euclid": 1}
 _ENTRIES_MOST = 268435456
@@ -62,6 +65,7 @@ class Halo:
         return len(self.offset) - 1
 
     def _list(self, k: int) -> slice:
+        k = arrays.whole(k, "a list of a halo", 2**63 - 1)
         if not -len(self) <= k < len(self):
             raise IndexError(f"list {k} of a halo of {len(self)}")
         k %= len(self)
@@ -107,6 +111,13 @@ class Cuts:
     def __repr__(self) -> str:
         return f"<rcbd.Cuts {self.hash} of {self.parts} parts>"
 
+    def _positions(self, xyz: ArrayLike) -> NDArray[Any]:
+        rows = arrays.positions_array(xyz)
+        if rows.shape[1] != self.dims:
+            raise ValueError(f"positions of shape {np.shape(xyz)} for cuts of {self.dims} dimensions; give (n, {self.dims}), "
+                             f"one position as (1, {self.dims})")
+        return rows
+
     def owner(self, xyz: ArrayLike, ids: Optional[ArrayLike] = None, *, last: Optional[ArrayLike] = None,
               threads: int = 1) -> NDArray[np.int32]:
         """(n), int32: the part that owns each position.
@@ -120,12 +131,10 @@ class Cuts:
         Raises:
             Error: not_finite (the message names the row), invalid_argument.
         """
-        rows = arrays.positions_array(xyz)
+        rows = self._positions(xyz)
         options, _keep = _ask(len(rows), ids, threads)
         if last is not None:
-            hint = np.require(last, arrays.I4, ["C", "A"])
-            if hint.shape != (len(rows),):
-                raise ValueError(f"last of shape {hint.shape} for {len(rows)} rows; give one a row")
+            hint = arrays.parts_array(last, len(rows), "last")
             options.last_part = arrays.address(hint)
         part = np.empty(len(rows), arrays.I4)
         check(lib.rcbd_cuts_owner(self._handle.pointer, arrays.positions_of(rows), byref(options),
@@ -151,7 +160,7 @@ class Cuts:
         Raises:
             Error: not_finite, invalid_argument, too_large.
         """
-        rows = arrays.positions_array(xyz)
+        rows = self._positions(xyz)
         options, _keep = _ask(len(rows), ids, threads)
         options.entries_max = arrays.whole(entries_max, "entries_max", 2**63 - 1)
         options.seats = arrays.whole(seats, "seats")

@@ -40,7 +40,12 @@ class Struct(ctypes.Structure):
     """A struct that begins with its size."""
 
     def __init__(self, **fields: Any) -> None:
-        super().__init__(size=ctypes.sizeof(self), **fields)
+        super().__init__(size=ctypes.sizeof(self))
+        for name, value in fields.items():
+            try:
+                setattr(self, name, value)
+            except TypeError as fault:  # ctypes doesn't say which
+                raise TypeError(f"{name}: {fault}") from None
 
 
 class ConnectOptions(Struct):

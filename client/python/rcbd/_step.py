@@ -7,12 +7,14 @@ from ctypes import byref, c_int64, c_void_p
 from typing import TYPE_CHECKING, Any, Callable, NamedTuple, Optional, Tuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from . import _arrays as arrays
 from . import _library as library
 from ._library import PENDING, Error, Handle, StepOptions, check, error_of, lib, packing
 from ._waiting import SLICE_SECONDS, log_notices, watched
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
 
 _pack_options = packing(StepOptions).pack
 _OPTIONS_SIZE = ctypes.sizeof(StepOptions)
@@ -87,7 +89,21 @@ class Report(library.Report):
     json: str = _field("json", _text, "the whole report, as the service sent it")
 
     def __repr__(self) -> str:
-        return f"Report({', '.join(f'{name}={getattr(self, name)!r}' for name, *_ in library.Report._fields_[1:])})"
+        return f"Report({', '.join(f'{name}={getattr(self, name)!r}' for name, *_ in library.Report._fields_[1:-1])})"
+
+    def __reduce__(self) -> Tuple[Any, ...]:
+        return _report_again, (bytes(self), *(getattr(library.Report, name).__get__(self) for name in _TEXTS))
+
+
+_TEXTS = ("reason", "way", "json")
+
+
+def _report_again(numbers: bytes, *texts: bytes) -> Report:
+    """A copy, or what was pickled."""
+    told = Report.from_buffer_copy(numbers)
+    for name, text in zip(_TEXTS, texts):
+        getattr(library.Report, name).__set__(told, text)
+    return told
 
 
 def _report_of(result: Handle) -> Report:
@@ -214,11 +230,11 @@ class Op:
 class Ask:
     """What a step is asked, for the library, and the arrays to which that points."""
 
-    __slots__ = ("rows", "ids", "weights", "positions", "options")
+    __slots__ = ("rows", "ids", "weights", "positions", "options", "wants")
 
-    def __init__(self, xyz: ArrayLike, ids: Optional[ArrayLike], weights: Optional[ArrayLike], step: Optional[int],
-                 inserted: int, removed: int, step_seconds: Optional[float], want_parts: bool, want_changed: bool,
-                 send: bool, threads: int, deadline_seconds: float) -> None:
+    def __init__(self, xyz: ArrayLike, ids: Optional[ArrayLike], weights: Optional[ArrayLike], step: Optional[int] = None,
+                 inserted: int = 0, removed: int = 0, step_seconds: Optional[float] = None, want_parts: bool = True,
+                 want_changed: bool = True, send: bool = False, threads: int = 1, deadline_seconds: float = 60.0) -> None:
         if step is not None and step < 0:
             raise Error("invalid_argument", f"step {step}", "steps count from 0")
         if step_seconds is not None and not step_seconds >= 0:
@@ -228,6 +244,7 @@ class Ask:
         self.ids = None if ids is None else arrays.ids_array(ids, count)
         self.weights = None if weights is None else arrays.floats_array(weights, count, "weights")
         self.positions = arrays.positions_of(self.rows)
+        self.wants = want_parts or want_changed  # with either the library has the cuts after each step
         try:
             self.options = _pack_options(
                 _OPTIONS_SIZE, -1 if step is None else step, 0 if self.ids is None else arrays.address(self.ids),

@@ -6,7 +6,7 @@ import os
 import signal
 import threading
 from _signal import getsignal as _getsignal  # type: ignore[import]  # that of signal makes an enum of it, which takes 3 us
-from typing import Any, Callable, List, Optional, TypeVar
+from typing import Any, Callable, List, Optional, Sequence, TypeVar
 
 from ._library import Handle, lib
 
@@ -67,21 +67,32 @@ class _Watch:
 
     def __init__(self) -> None:
         read_end, self.pipe = os.pipe()
+        self.identity: Sequence[int] = os.fstat(self.pipe)[1:3]  # inode and device, those of both ends
         os.set_blocking(self.pipe, False)
         self.client: Optional[Handle] = None  # whose call is under way
         self.calls = 0
         threading.Thread(target=self._run, args=(read_end,), name="rcbd-watch", daemon=True).start()
 
+    def owns(self, end: int) -> bool:
+        """Whether the file is the pipe still: a program may close all files, and open others."""
+        try:
+            return os.fstat(end)[1:3] == self.identity
+        except OSError:
+            return False
+
     def _run(self, read_end: int) -> None:
         wake = threading.Event()
-        while True:
+        while self.owns(read_end):
             came = os.read(read_end, 64)
+            if not came:
+                break
             call, client = self.calls, self.client
             if signal.SIGINT not in came or client is None:
                 continue
             wake.wait(SLICE_SECONDS)
             if self.calls == call and self.client is client:
                 lib.rcbd_interrupt(client.pointer)
+        self.identity = ()  # the next call makes another watch
 
 
 _watch: Optional[_Watch] = None
@@ -107,7 +118,7 @@ def watched(client: Handle, function: Callable[..., int], *arguments: Any) -> Op
         return function(*arguments)
     if _getsignal(signal.SIGINT) is not signal.default_int_handler:
         return None
-    if _watch is None:
+    if _watch is None or not _watch.owns(_watch.pipe):
         _watch = _Watch()
     watch = _watch
     before = signal.set_wakeup_fd(watch.pipe, warn_on_full_buffer=False)

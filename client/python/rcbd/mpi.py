@@ -3,17 +3,17 @@
     comm = MPI.COMM_WORLD
     client = rcbd.mpi.connect(comm)
     scene = client.scene("jet", parts=64, comm=comm)           # a seat for each process
-    step = scene.step(xyz, ids)
+    step = rcbd.mpi.step(comm, scene, xyz, ids)
     xyz, ids, velocity = rcbd.mpi.hand_over(comm, step, xyz, ids, velocity)
     plan = rcbd.mpi.HaloPlan(comm, scene.cuts, xyz, 0.05, periodic=(0, 1), ids=ids)
     xyz, velocity = plan.with_room(xyz), plan.with_room(velocity)
     plan.forward(velocity, positions=xyz)                      # many times, until lists are rebuilt
     plan.reverse_add(forces)
 
-All processes of the communicator make these calls, in the same order. Where numbers are exchanged first (connect,
-scene(comm=...), hand_over, HaloPlan) the failure of one process is raised by all. HaloPlan.forward() and reverse_add() only
-check their arguments before anything is sent: then one process alone raises, so run such a program by
-`mpirun python3 -m mpi4py PROGRAM`, by which an error ends all. Messages have the tag 7470: no receive for any tag may wait
+All processes of the communicator make these calls, in the same order. What fails on one process in connect, scene(comm=...),
+step, hand_over and HaloPlan all raise, but for what has no memory after the numbers of rows were exchanged.
+HaloPlan.forward() and reverse_add() only check their arguments before anything is sent, and how many rows have come: then one
+process alone raises. So run such a program by `mpirun python3 -m mpi4py PROGRAM`, by which an error ends all. Messages have the tag 7470: no receive for any tag may wait
 on the communicator meanwhile; else give a duplicate, comm.Dup().
 """
 from __future__ import annotations
@@ -25,16 +25,19 @@ from typing import TYPE_CHECKING, Any, Iterator, List, Optional, Sequence, Tuple
 import numpy as np
 from mpi4py import MPI
 from mpi4py.util import dtlib
-from numpy.typing import ArrayLike, NDArray
 
-from ._arrays import Periodic
 from ._client import Client, Scene
 from ._client import connect as connect_alone
 from ._cuts import Cuts
 from ._library import Error
-from ._step import Step
+from ._step import Ask, Step
 
-__all__ = ["HaloPlan", "agree", "connect", "hand_over", "scene_open", "together"]
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from ._arrays import Periodic
+
+__all__ = ["HaloPlan", "agree", "connect", "hand_over", "scene_open", "step", "together"]
 
 _TAG = 7470
 _TEXT_BYTES = 2048
@@ -102,6 +105,21 @@ def scene_open(comm: MPI.Comm, client: Client, name: str, parts: int = 0, **opti
     return scene
 
 
+def step(comm: MPI.Comm, scene: Scene, xyz: ArrayLike, ids: Optional[ArrayLike] = None, weights: Optional[ArrayLike] = None,
+         **options: Any) -> Step:
+    """Scene.step() on all processes. Where an argument is wrong on one, nothing is sent, and all raise an Error. Where the step
+    fails on one, that one closes its scene, so that the others do not wait for it, and all raise an Error."""
+    with together(comm):
+        ask = Ask(xyz, ids, weights, **options)
+    with together(comm):
+        try:
+            made = scene._make(ask)
+        except BaseException:
+            scene.close()
+            raise
+    return made
+
+
 # ---- rows between processes ----
 
 
@@ -118,6 +136,14 @@ def _record(fields: Sequence[NDArray[Any]], rows: int) -> np.dtype[Any]:
             raise ValueError(f"array {k} of shape {field.shape} has not the {rows} rows that are told")
         kinds.append((f"f{k}", field.dtype, field.shape[1:]))
     return np.dtype(kinds, align=True)
+
+
+def _record_in_place(fields: Sequence[NDArray[Any]], rows: int) -> np.dtype[Any]:
+    record = _record(fields, rows)
+    for k, field in enumerate(fields):
+        if not field.flags.writeable:
+            raise ValueError(f"array {k} is read-only, and would be written to")
+    return record
 
 
 def _numbers(comm: MPI.Comm, numbers: Optional[NDArray[Any]], layout: int, failure: Optional[Exception]) -> NDArray[Any]:
@@ -157,20 +183,26 @@ def _exchange(comm: MPI.Comm, sent: NDArray[Any], send: List[slice], received: N
     kind = dtlib.from_numpy_dtype(sent.dtype).Commit()
     row = sent.dtype.itemsize
     out, into = sent.view(np.uint8), received.view(np.uint8)
-    requests = []
+    sources = [p for p in range(comm.size) if p != comm.rank and receive[p].stop > receive[p].start]
+    requests: List[MPI.Request] = []
+    statuses = [MPI.Status() for _ in sources]
     try:
+        for p in sources:
+            part = into[receive[p].start * row : receive[p].stop * row]
+            requests.append(comm.Irecv([part, receive[p].stop - receive[p].start, kind], p, _TAG))
+        sends = []
         for p in range(comm.size):
-            if p == comm.rank:
-                continue
-            coming, going = receive[p], send[p]
-            if coming.stop > coming.start:
-                part = into[coming.start * row : coming.stop * row]
-                requests.append(comm.Irecv([part, coming.stop - coming.start, kind], p, _TAG))
-            if going.stop > going.start:
-                part = out[going.start * row : going.stop * row]
-                requests.append(comm.Isend([part, going.stop - going.start, kind], p, _TAG))
+            if p != comm.rank and send[p].stop > send[p].start:
+                part = out[send[p].start * row : send[p].stop * row]
+                sends.append(comm.Isend([part, send[p].stop - send[p].start, kind], p, _TAG))
         received[receive[comm.rank]] = sent[send[comm.rank]]
-        MPI.Request.Waitall(requests)
+        MPI.Request.Waitall(requests, statuses)
+        MPI.Request.Waitall(sends)
+        for p, status in zip(sources, statuses):
+            if status.Get_count(kind) != receive[p].stop - receive[p].start:
+                raise Error("invalid_argument", f"process {p} has sent {status.Get_count(MPI.BYTE)} bytes, where "
+                            f"{(receive[p].stop - receive[p].start) * row} were expected",
+                            "give the same arrays in the same order everywhere, and make plans anew after each step")
     finally:
         kind.Free()
 
@@ -213,6 +245,15 @@ def hand_over(comm: MPI.Comm, step: Step, *arrays: NDArray[Any]) -> Tuple[NDArra
     return tuple(np.concatenate([array[stays], received[f"f{k}"]]) for k, array in enumerate(arrays))
 
 
+def _check_own(comm: MPI.Comm, part: NDArray[np.int32], parts: int) -> None:
+    """Seat k of M has the parts [kP/M, (k+1)P/M)."""
+    first, last = (parts * k // comm.size for k in (comm.rank, comm.rank + 1))
+    others = np.count_nonzero((part < first) | (part >= last))
+    if others:
+        raise Error("invalid_argument", f"{others} of {len(part)} rows belong to other processes",
+                    "hand them over after the step (hand_over), and give the step's ids")
+
+
 class HaloPlan:
     """Who sends which rows to whom as halo: made when lists are rebuilt, used many times until then. The particles that this
     process needs of others, and images of its own across a periodic border, are its ghosts: the rows behind its own, by
@@ -233,6 +274,7 @@ class HaloPlan:
         """
         numbers = failure = None
         try:
+            _check_own(comm, cuts.owner(xyz, ids, threads=threads), cuts.parts)
             halo = cuts.halo(xyz, width, periodic, ids, norm=norm, seats=comm.size, threads=threads)
             numbers = np.diff(halo.offset)
             _check_numbers(numbers, comm.size)
@@ -266,7 +308,7 @@ class HaloPlan:
         needs any.
 
         Args:
-            fields: (rows + ghosts, ...), of numbers.
+            fields: (rows + ghosts, ...), of numbers; the same types and shapes of rows on all processes.
             positions: one such array, or several, (rows + ghosts, dims) of floats, to which the images' periods are
                 added, each in float64 and then rounded.
 
@@ -275,7 +317,7 @@ class HaloPlan:
         """
         moved = [positions] if isinstance(positions, np.ndarray) else list(positions or ())
         together_ = [*moved, *fields]
-        record = _record(together_, self.rows + self.ghosts)
+        record = _record_in_place(together_, self.rows + self.ghosts)
         for field in moved:
             if field.dtype.kind != "f" or field.ndim != 2 or any(axis >= field.shape[1] for axis, _, _ in self._moves):
                 raise ValueError(f"positions of type {field.dtype} and shape {field.shape}; give (rows + ghosts, dims) of floats")
@@ -299,7 +341,7 @@ class HaloPlan:
         Raises:
             TypeError, ValueError: before anything is sent.
         """
-        record = _record(fields, self.rows + self.ghosts)
+        record = _record_in_place(fields, self.rows + self.ghosts)
         sent, received = np.empty(self.ghosts, record), np.empty(len(self._sent), record)
         for k, field in enumerate(fields):
             sent[f"f{k}"] = field[self.rows :]

@@ -66,6 +66,25 @@ def check_plan(cuts, x, ids):
              lambda: plan.forward(positions=number), lambda: plan.forward(place.astype(object))]
     for call in wrong if plan.ghosts else ():  # is told before anything is sent
         raised(("TypeError", "ValueError"), call)
+    for call in (plan.forward, plan.reverse_add):
+        place.flags.writeable = False
+        raised("ValueError", lambda: call(place))
+    check_counts(cuts, x, ids)
+
+
+def check_counts(cuts, x, ids):
+    """Process 0 sends a row less than was agreed: those who receive it say so."""
+    plan = rcbd.mpi.HaloPlan(COMM, cuts, x, 0.1, BOX, ids)
+    field = plan.with_room(x)
+    if COMM.rank == 0:
+        plan._send = [rows if p == 0 or rows.stop - rows.start < 2 else slice(rows.start, rows.stop - 1)
+                      for p, rows in enumerate(plan._send)]
+    coming = plan._receive[0].stop - plan._receive[0].start
+    if COMM.rank > 0 and coming > 1:
+        failure = raised("invalid_argument", lambda: plan.forward(field))
+        assert failure.message == f"process 0 has sent {24 * coming - 24} bytes, where {24 * coming} were expected", failure
+    else:
+        plan.forward(field)
 
 
 def check_sums(plan, ids, ghosts_of):
@@ -101,6 +120,9 @@ def check_failures(scene, step, x, ids):
         raised(alone, lambda: rcbd.mpi.hand_over(COMM, step, x.astype(np.float32) if last else x))
     raised(alone, lambda: rcbd.mpi.HaloPlan(COMM, scene.cuts, x * np.nan if last else x, 0.1, BOX, ids))
     raised(alone, lambda: rcbd.mpi.HaloPlan(COMM, scene.cuts, x, -0.1, BOX, ids))
+    if COMM.size > 1:  # rows that were not handed over
+        failure = raised(("invalid_argument", "aborted"), lambda: rcbd.mpi.HaloPlan(COMM, scene.cuts, x, 0.1, BOX, ids))
+        assert len(step.leaving.rows) == 0 or f"{len(step.leaving.rows)} of {len(x)} rows belong to other" in failure.message, failure
     failure = raised("busy", lambda: rcbd.mpi.agree(COMM, rcbd.Error("busy", "m\u00e4ssage", "hint") if last else None))
     assert (failure.message, failure.hint) == ("m\u00e4ssage", "hint")
     raised("unavailable", lambda: rcbd.mpi.connect(COMM, "unix:/nonexistent" if last else None))
@@ -111,13 +133,16 @@ def main():
     client = rcbd.mpi.connect(COMM)
     raised("not_found", lambda: client.scene("nowhere", comm=COMM))
     raised(("invalid_argument", "TypeError", "aborted"), lambda: client.scene("among", -1 if COMM.rank else "x", comm=COMM))
+    ids = mine = np.arange(COMM.rank, N, COMM.size)
+    last = COMM.rank == COMM.size - 1
+    raised(("TypeError", "aborted", "invalid_argument"),
+           lambda: rcbd.mpi.step(COMM, client.scene("among", 5, replace=True, comm=COMM), "x" if last else all_x[mine], mine))
     scene = client.scene("among", 5, replace=True, comm=COMM)
-    ids = np.arange(COMM.rank, N, COMM.size)
     for k in range(4):
         if k:
             all_x[:400] = all_x[:400] * 0.8
         x = all_x[ids]
-        step = scene.step(x, ids)
+        step = rcbd.mpi.step(COMM, scene, x, ids)
         check_failures(scene, step, x, ids) if k == 0 else None
         x, ids = check_hand_over(step, x, ids)
         np.testing.assert_array_equal(x, all_x[ids])

@@ -1,4 +1,9 @@
 """Arrays of all kinds, and what is no array, number or name that can be accepted: a message, or the right answer."""
+import copy
+import gc
+import os
+import pickle
+
 from expect import *
 
 
@@ -60,8 +65,12 @@ class Arrays(WithClient):
         for wrong in (xyz[:, :2], xyz[:, 0]):
             with self.fails("invalid_argument", "dimensions"):
                 scene.step(wrong)
-            with self.fails("invalid_argument"):
+            with self.assertRaisesRegex(ValueError, "for cuts of 3 dimensions"):
                 scene.cuts.halo(wrong, 0.1)
+        with self.fails("invalid_argument", "dims 2, in place of this one (replace)"):
+            scene.step(xyz[:, :2])
+        with self.assertRaisesRegex(ValueError, r"one position as \(1, 3\)"):
+            scene.cuts.owner([0.5, 0.5, 0.5])
         for value in (np.nan, np.inf):
             bad = xyz.copy()
             bad[17, 1] = value
@@ -149,7 +158,7 @@ class Calls(WithClient):
             with self.fails("invalid_argument"):
                 rcbd.connect(**wrong)
         for wrong in ({"endpoint": 5}, {"deadline_seconds": "1"}, {"token": b"x"}):
-            with self.assertRaises(TypeError):
+            with self.assertRaisesRegex(TypeError, next(iter(wrong))):
                 rcbd.connect(**wrong)
         for wrong in ({"parts": -1}, {"parts": 2**40}, {"dims": 4}, {"method": "zoltan"}, {"policy": "none"}, {"positions": "never"},
                       {"tolerance": -1}, {"tolerance": float("nan")}, {"axis_hysteresis": 0.5}, {"cut_tolerance": 2}, {"threads": 0},
@@ -160,7 +169,7 @@ class Calls(WithClient):
             with self.subTest(wrong), self.assertRaises(TypeError):
                 self.opened(**wrong)
         for wrong in ([1.0] * 7, 1.0):
-            with self.assertRaises(ValueError):
+            with self.assertRaisesRegex(ValueError, "for 8 parts; give one a part"):
                 self.opened(part_sizes=wrong)
         with self.fails("invalid_argument"):
             self.client.scene("a b", 8)
@@ -248,8 +257,14 @@ class Calls(WithClient):
             cuts.halo(xyz, 0.1, norm="manhattan")
         with self.fails("too_large"):
             cuts.halo(xyz, 0.1, entries_max=10)
+        for wrong in ("0.1", None, [None] * 3000):
+            with self.assertRaisesRegex(TypeError, "width"):
+                cuts.halo(xyz, wrong)
         with self.assertRaises(ValueError):
             cuts.owner(xyz, last=[1, 2])
+        for wrong in (np.full(3000, 2**31), np.zeros(3000)):
+            with self.assertRaisesRegex(TypeError, "last"):
+                cuts.owner(xyz, last=wrong)
         np.testing.assert_array_equal(cuts.owner(xyz, last=np.full(3000, 99)), cuts.owner(xyz))
         for part in (-1, 8):
             with self.fails("not_found"):
@@ -260,8 +275,27 @@ class Calls(WithClient):
             cuts.box([0, 0], 1)
         with self.assertRaises(IndexError):
             cuts.halo(xyz, 0.1)[8]
+        with self.assertRaisesRegex(TypeError, "list of a halo"):
+            cuts.halo(xyz, 0.1)[0:2]
         with self.fails("not_found"):
             cuts.halo(xyz, 0.1).shifts_for(0)
+
+    def test_values(self):
+        """A report can be copied and sent, also when nothing else of the step is there; names say who is who."""
+        report = self.opened().step(points()).report
+        again = [copy.copy(report), copy.deepcopy(report), pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(report))))]
+        words = (repr(report), report.reason, report.way, report.json)
+        del report
+        gc.collect()
+        for other in again:
+            self.assertEqual((repr(other), other.reason, other.way, other.json), words)
+            self.assertIsInstance(other, rcbd.Report)
+        self.assertNotIn("json", words[0])
+        self.assertEqual(repr(self.client), f"<rcbd.Client of {os.environ['RCBD_ENDPOINT']}>")
+        with rcbd.connect() as other, self.assertRaisesRegex(rcbd.Error, "misuse.py"):
+            mine = self.client.scene("theirs", 2, replace=True)
+            mine.step(points())
+            other.scene("theirs", 2, replace=True, deadline_seconds=0.1)
 
 
 if __name__ == "__main__":

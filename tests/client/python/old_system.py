@@ -4,20 +4,10 @@ import os
 import platform
 import resource
 import sys
-import types
-from typing import Any, Sequence
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # each of which takes memory
 
 import numpy as np
-
-try:
-    import numpy.typing  # noqa: F401
-except ModuleNotFoundError:  # Debian 11's NumPy is older than what the package asks for; here the library is tried
-    typing = types.ModuleType("numpy.typing")
-    typing.ArrayLike = typing.DTypeLike = Any
-    typing.NDArray = Sequence
-    sys.modules["numpy.typing"] = typing
 
 import rcbd
 

@@ -5,10 +5,12 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 
 from expect import *
+from rcbd import _waiting
 
 
 class Threads(WithClient):
@@ -119,6 +121,28 @@ class Signals(WithClient):
         time.sleep(0.3)  # as long as a call that goes on would not be ended
         with self.fails("deadline_exceeded"):
             self.waits(deadline_seconds=0.5)
+        self.both_step()
+
+    def test_ctrl_c_where_files_were_closed(self):
+        """The program closes all files that it doesn't know, the pipe of the watch as well, and opens others with these numbers:
+        they get nothing, and lose nothing."""
+        scene = self.client.scene("quick", 2, replace=True)
+        scene.step(self.xyz)
+        for which in (slice(None), slice(0, 1), slice(1, 2)):  # both ends, the one to read, the one to write
+            watch = sorted(number for number in map(int, os.listdir("/proc/self/fd")) if _waiting._watch.owns(number))[which]
+            with tempfile.TemporaryFile(buffering=0) as file:
+                file.write(bytes([signal.SIGINT]) * 100)
+                file.seek(0)
+                for number in watch:
+                    os.dup2(file.fileno(), number)
+                for _ in range(2):
+                    self.soon()
+                    with self.assertRaises(KeyboardInterrupt):
+                        self.waits()
+                    scene.step(self.xyz)
+                self.assertEqual((file.tell(), os.fstat(file.fileno()).st_size), (0, 100))
+                for number in watch:
+                    os.close(number)
         self.both_step()
 
     def test_a_handler_that_raises(self):

@@ -8,7 +8,7 @@ import tarfile
 import zipfile
 
 HERE = os.path.dirname(os.path.abspath(__file__))
-SOURCES = ("README.md", "backend.py", "pyproject.toml")
+SOURCES = ("README.md", "rcbd_backend.py", "pyproject.toml")
 
 
 def _text(*path):
