@@ -18,16 +18,7 @@ set(same_version "(= ${PROJECT_VERSION}-${CPACK_DEBIAN_PACKAGE_RELEASE})")
 set(for_debian "${PROJECT_SOURCE_DIR}/cmake/debian")
 string(TIMESTAMP date "%a, %d %b %Y %H:%M:%S +0000" UTC)
 
-# What every package must have: where it comes from, the licences of what is compiled in, and Debian's changelog.
-file(READ "${for_debian}/copyright" copyright)
-foreach(package libcli11-dev libfast-float-dev libfmt-dev libxxhash-dev nlohmann-json3-dev)
-  if(EXISTS "/usr/share/doc/${package}/copyright")
-    file(READ "/usr/share/doc/${package}/copyright" text)
-    string(APPEND copyright "\n\n---- ${package} ----\n\n${text}")
-  endif()
-endforeach()
-file(WRITE "${made}/copyright" "${copyright}")
-
+# Every package also has its copyright, and Debian's changelog.
 # rcb_package(component name section DESCRIPTION text [DEPENDS ...] [RECOMMENDS ...] [SUGGESTS ...] [CONTROL files]
 # [ARCHITECTURE all])
 function(rcb_package component name section)

@@ -10,6 +10,13 @@ set(programs_dir lib/rcbd)  # of programs whose names are too general for PATH, 
 set(made "${PROJECT_BINARY_DIR}/install")
 set(from "${PROJECT_SOURCE_DIR}/cmake/install")
 
+foreach(folder BINDIR LIBDIR INCLUDEDIR DATADIR)
+  if(IS_ABSOLUTE "${CMAKE_INSTALL_${folder}}")
+    message(FATAL_ERROR "CMAKE_INSTALL_${folder} is ${CMAKE_INSTALL_${folder}}. Give a folder below CMAKE_INSTALL_PREFIX, such "
+                        "as lib: what is installed may be moved, and finds its parts from one another.")
+  endif()
+endforeach()
+
 # ---- library, dev ----
 install(TARGETS rcbd_library EXPORT rcbd_targets
         LIBRARY DESTINATION "${CMAKE_INSTALL_LIBDIR}" COMPONENT library NAMELINK_COMPONENT dev
@@ -40,6 +47,30 @@ endif()
 # ---- examples ----
 install(DIRECTORY client/examples DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONENT runtime
         PATTERN __pycache__ EXCLUDE)
+
+# Where what is installed is passed on: where it comes from, and the licences of what is compiled in.
+if(RCB_ARCHIVE OR RCB_DEBIAN)
+  file(READ "${from}/copyright" copyright)
+  set(compiled_in libfmt-dev libxxhash-dev nlohmann-json3-dev)
+  if(RCB_SERVICE)
+    list(APPEND compiled_in libcli11-dev libfast-float-dev)
+  endif()
+  if(RCB_ARCHIVE)
+    list(APPEND compiled_in libstdc++6)
+  endif()
+  foreach(package ${compiled_in})
+    if(EXISTS "/usr/share/doc/${package}/copyright")
+      file(READ "/usr/share/doc/${package}/copyright" text)
+      string(APPEND copyright "\n\n---- ${package} ----\n\n${text}")
+    else()
+      message(WARNING "no /usr/share/doc/${package}/copyright: its notices are missing in what is installed")
+    endif()
+  endforeach()
+  file(WRITE "${made}/copyright" "${copyright}")
+endif()
+if(RCB_ARCHIVE)
+  install(FILES "${made}/copyright" DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONENT library)
+endif()
 
 if(NOT RCB_SERVICE)
   return()
@@ -76,7 +107,9 @@ file(MAKE_DIRECTORY "${made}/client")
 file(CREATE_LINK ../examples "${made}/client/examples" SYMBOLIC)
 file(CREATE_LINK "${to_include}" "${made}/client/include" SYMBOLIC)
 install(FILES README.md CHANGELOG.md CONTRIBUTING.md DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONENT runtime)
-install(DIRECTORY docs "${made}/client" DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONENT runtime)
+install(DIRECTORY docs DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONENT runtime)
+install(FILES "${made}/client/examples" DESTINATION "${CMAKE_INSTALL_DOCDIR}/client" COMPONENT runtime)
+install(FILES "${made}/client/include" DESTINATION "${CMAKE_INSTALL_DOCDIR}/client" COMPONENT dev)  # with the headers
 install(FILES common/wire/PROTOCOL.md DESTINATION "${CMAKE_INSTALL_DOCDIR}/common/wire" COMPONENT runtime)
 install(DIRECTORY deploy/slurm deploy/container DESTINATION "${CMAKE_INSTALL_DOCDIR}/deploy" COMPONENT runtime)
 

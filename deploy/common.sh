@@ -93,6 +93,15 @@ end_work() {
   rm -rf "$WORK"
 }
 
+# can_be_apart, apart COMMAND...: as root, in namespaces of its own, which end with it, and with them all that it has started
+# and mounted.
+can_be_apart() {
+  ((EUID == 0)) && unshare --mount --pid --ipc --fork --mount-proc true 2>/dev/null
+}
+apart() {
+  run unshare --mount --pid --ipc --fork --kill-child --mount-proc "$@"
+}
+
 # run COMMAND...: as a child that this script can be interrupted over at any moment (a shell that waits for a command
 # in the foreground handles its signals only after that one).
 run() {

@@ -12,8 +12,9 @@ class Archive(ServiceTest):
     @classmethod
     def setUpClass(cls):
         super().setUpClass()
-        made = run(program=os.path.join(ROOT, "deploy", "archive"), check=True, timeout=600)
+        made = run("-c", f"umask 077; exec {ROOT}/deploy/archive", program="/bin/sh", check=True, timeout=600)
         path, cls.needs = made.stdout.splitlines()
+        cls.held = run("-tvzf", path, program="/usr/bin/tar", check=True).stdout.splitlines()
         folder = os.path.join(cls.dir, "anywhere")
         os.mkdir(folder)
         run("-C", folder, "-xzf", path, program="/usr/bin/tar", check=True)
@@ -43,6 +44,13 @@ class Archive(ServiceTest):
         shown = {line.split()[-1] for line in symbols.splitlines()[4:] if line and "*UND*" not in line}
         promised = set(re.findall(r"^rcbd_\w+$", text_of(ROOT, "tests/client/c/abi.txt"), re.M))
         self.assertEqual(shown - {"RCBD_1"}, promised)
+
+    def test_all_may_read_it_and_what_is_inside_is_named(self):
+        modes = {line.split()[0] for line in self.held}
+        self.assertEqual(modes - {"-rw-r--r--", "-rwxr-xr-x", "drwxr-xr-x", "lrwxrwxrwx"}, set())
+        notices = text_of(self.prefix, "share", "doc", "rcbd", "copyright")
+        for words in ("---- libfmt-dev ----", "---- nlohmann-json3-dev ----", "---- libxxhash-dev ----", "GCC Runtime Library Exception"):
+            self.assertIn(words, notices)
 
     def test_programs(self):
         """In C, and in C++, whose own libstdc++ and exceptions are beside those of the library."""

@@ -78,12 +78,11 @@ class Sessions(unittest.TestCase):
         text = block("README.md", "console")
         lines = [command for _, command in commands(text)]
         self.assertEqual(len(lines), len(text.splitlines()))
-        self.points("positions.csv")
         said = {line.split()[1]: self.said(line) for line in lines}  # by command
         self.assertIn(f"unix:{self.dir}/rcbd/rcbd.sock", said["up"])
         parts = re.findall(r"^ *(\d+) +(\d+)", said["counts"], re.M)
         self.assertEqual([int(part) for part, _ in parts], list(range(8)))
-        self.assertEqual(sum(int(count) for _, count in parts), 100)
+        self.assertEqual(sum(int(count) for _, count in parts), 2000)
         self.assertRegex(said["owner"], r"\b[0-7]\b")
         self.assertIn("<svg", text_of(self.dir, "jet.svg"))
         self.assertTrue(wait_for(lambda: not processes_of(self.dir)), "all is gone after the last line")
@@ -110,6 +109,28 @@ class Sessions(unittest.TestCase):
         history = json.loads(self.said("rcbctl history jet --json"))
         self.assertEqual([(report["step"], report["n"]) for report in history], [(step, 500) for step in range(0, 501, 100)])
         self.assertIn("<svg", text_of(self.dir, "jet.svg"))
+
+
+class Links(unittest.TestCase):
+    def anchors(self, page):
+        """Of its headings, as GitHub makes them."""
+        text = re.sub(r"(?ms)^ *```.*?^ *```", "", text_of(page))
+        headings = re.findall(r"^#+ (.*)$", re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", text), re.M)
+        return [re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-") for heading in headings]
+
+    def test_each_leads_somewhere(self):
+        broken, seen = [], 0
+        for page in pages():
+            folder, name = os.path.split(os.path.join(ROOT, page))
+            for target, _, anchor in (link.partition("#") for link in re.findall(r"\]\(([^)\s]+)\)", text_of(ROOT, page))):
+                if re.match(r"\w+:", target):
+                    continue
+                path = os.path.join(folder, target or name)
+                seen += bool(anchor)
+                if not os.path.exists(path) or anchor and anchor not in self.anchors(path):
+                    broken.append(f"{page}: {target}#{anchor}")
+        self.assertEqual(broken, [])
+        self.assertGreater(seen, 50)
 
 
 if __name__ == "__main__":

@@ -144,6 +144,12 @@ class Install(unittest.TestCase):
         self.assertEqual([name for name in names if not re.match(wanted, name)], [])
         self.assertIn("include/rcbd/rcbd.h", names)
 
+    def test_a_folder_that_could_not_be_moved(self):
+        refused = subprocess.run(["cmake", "-S", ROOT, "-B", os.path.join(self.dir, "refused"), "-DRCB_SERVICE=OFF",
+                                  "-DCMAKE_INSTALL_INCLUDEDIR=/elsewhere"], capture_output=True, text=True, timeout=280)
+        self.assertNotEqual(refused.returncode, 0)
+        self.assertRegex(refused.stderr, r"CMAKE_INSTALL_INCLUDEDIR is /elsewhere\.\s+Give\s+a\s+folder\s+below")
+
     def test_a_component(self):
         for component, held in (("library", "librcbd.so.1"), ("dev", "rcbd.h"), ("runtime", "rcbctl")):
             prefix = os.path.join(self.dir, component)

@@ -56,7 +56,7 @@ class Snippets(unittest.TestCase):
             np.save(os.path.join(self.dir, name + ".npy"), points)
         dump = "dump rcb all custom 100 jet.lammpstrj id x y z"
         write_text(os.path.join(self.dir, "in.jet"), lammps_melt(dump, cells=5, steps=500))
-        shutil.copytree(os.path.join(EXAMPLES, "lammps"), self.dir, dirs_exist_ok=True)
+        shutil.copytree(os.path.join(EXAMPLES, "lammps"), os.path.join(self.dir, "client", "examples", "lammps"))
         for folder, _, names in os.walk(EXAMPLES):
             for name in names:
                 if name.startswith("serial."):

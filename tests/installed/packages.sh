@@ -32,7 +32,6 @@ files >before
 quietly dpkg -i ./*.deb
 
 say "the README's first session"
-python3 -c 'import random; print("x,y,z"); [print(*(random.random() for _ in "xyz"), sep=",") for _ in range(1000)]' >positions.csv
 snippet README.md '^## A first session' | sed -n 's/^\$ //p' >session
 grep -q 'rcbctl up' session
 quietly bash -eux session

