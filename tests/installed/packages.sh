@@ -3,7 +3,15 @@ set -euo pipefail
 cd /work
 say() { printf '%s\n' "-- $* ($SECONDS s)" >&2; }
 quietly() { "$@" >log 2>&1 || { cat log >&2; say "failed: $*"; exit 1; }; }
-get() { quietly apt-get install -q -y --no-install-recommends "$@"; }
+# A mirror that is gone is nobody's mistake: 77, skipped.
+apt() {
+  "$@" >log 2>&1 && return
+  cat log >&2
+  grep -qE 'Failed to fetch|Unable to fetch' log || { say "failed: $*"; exit 1; }
+  say "SKIPPED: the mirror doesn't answer"
+  exit 77
+}
+get() { apt apt-get install -q -y --no-install-recommends "$@"; }
 # Apart from what packages leave behind for their kind.
 files() { find / -xdev \( -path /proc -o -path /work -o -path /tmp -o -path /var/cache -o -path /var/log -o -path /var/lib/apt \
   -o -path /var/lib/dpkg -o -path /root -o -path /etc/ld.so.cache \) -prune -o -print | sort; }
@@ -12,7 +20,7 @@ docs=/usr/share/doc/rcbd
 snippet() { awk -v like="$2" '$0 ~ like { near = 1 } near && /^```/ { if (open) exit; open = 1; next } open' "$docs/$1"; }
 ours=$(for deb in *.deb; do echo "${deb%%_*}"; done)
 
-quietly apt-get update
+apt apt-get update
 say "apt install, then the first array"
 begin=$SECONDS
 get ./*.deb gnuplot-nox
