@@ -10,6 +10,7 @@
 #include <cinttypes>
 #include <cmath>
 #include <fstream>
+#include <map>
 
 #include <rcbd/mpi.hpp>
 
@@ -96,8 +97,7 @@ void advance(Spheres& s, std::size_t mine) {
 // ---- the coupling ----
 
 struct Options {
-  std::int64_t particles = 500, pushes = 50, push_every = 10;
-  int parts = 0;     // 0: one a process
+  std::int64_t particles = 500, pushes = 50, push_every = 10, parts = 0;  // parts 0: one a process
   double reach = 0;  // how far a sphere may move, along an axis, between two pushes; 0: by default
   std::string scene = "spheres", endpoint, trajectory, positions = "every-step";
 };
@@ -175,7 +175,7 @@ void run(const Options& given, MPI_Comm comm) {
                       "the halo is as wide as half of the box, so a sphere could meet two images of another",
                       "take a smaller --reach or --push-every, or more --particles");
   rcbd::SceneOptions options;
-  options.parts = o.parts > 0 ? o.parts : size;
+  options.parts = o.parts > 0 ? static_cast<int>(o.parts) : size;
   options.tolerance = 0.05;
   options.positions = o.positions;
   options.replace = true;
@@ -205,32 +205,25 @@ void run(const Options& given, MPI_Comm comm) {
 
 Options options_of(int count, char** words) {
   Options o;
+  const std::map<std::string, std::string*> texts = {
+      {"--scene", &o.scene}, {"--endpoint", &o.endpoint}, {"--trajectory", &o.trajectory}};
+  const std::map<std::string, std::int64_t*> numbers = {
+      {"--particles", &o.particles}, {"--pushes", &o.pushes}, {"--push-every", &o.push_every}, {"--parts", &o.parts}};
   for (int k = 1; k < count; ++k) {
     const std::string name = words[k];
     if (name == "--help") usage(stdout, 0);
     const std::string value = name != "--when-needed" && k + 1 < count ? words[++k] : "";
     char* end = nullptr;
     const double number = std::strtod(value.c_str(), &end);
-    const double real = *end == 0 && number >= 0 && number < 1e9 ? number : -1;
-    const auto whole = real == std::floor(real) ? static_cast<int>(real) : -1;
+    const bool well = !value.empty() && *end == 0 && number < 1e9 && number >= (name == "--parts" ? 0 : 1e-9);
     if (name == "--when-needed")
       o.positions = "when-needed";
-    else if (name == "--scene" && !value.empty())
-      o.scene = value;
-    else if (name == "--endpoint" && !value.empty())
-      o.endpoint = value;
-    else if (name == "--trajectory" && !value.empty())
-      o.trajectory = value;
-    else if (name == "--reach" && real >= 1e-9)
-      o.reach = real;
-    else if (name == "--parts" && whole >= 0 && !value.empty())
-      o.parts = whole;
-    else if (name == "--particles" && whole > 0)
-      o.particles = whole;
-    else if (name == "--pushes" && whole > 0)
-      o.pushes = whole;
-    else if (name == "--push-every" && whole > 0)
-      o.push_every = whole;
+    else if (texts.count(name) && !value.empty())
+      *texts.at(name) = value;
+    else if (name == "--reach" && well)
+      o.reach = number;
+    else if (numbers.count(name) && well && number == std::floor(number))
+      *numbers.at(name) = static_cast<std::int64_t>(number);
     else {
       std::fprintf(stderr, "dem_cpp: %s %s: a wrong option or value\n", name.c_str(), value.c_str());
       usage(stderr, 2);

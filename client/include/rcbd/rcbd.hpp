@@ -25,8 +25,9 @@
 // tells is an Array or a Report, which holds its handle: it stays valid after later steps, after close() and when the
 // handle itself is gone.
 //
-// The solver's arrays are not copied: Positions and View refer to them, and are valid as long as they are. A vector
-// that would be gone at the end of the line is refused by the compiler: give it a name.
+// The solver's arrays are not copied: Positions and View refer to them, and are valid as long as they are. What
+// would be gone with its values at the end of the line, as a vector or an Array, is refused by the compiler: give it a
+// name.
 #ifndef RCBD_RCBD_HPP
 #define RCBD_RCBD_HPP
 
