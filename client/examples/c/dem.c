@@ -123,14 +123,22 @@ static const char* positions = "every-step";
 static MPI_Comm comm;
 static int rank, size;
 
-/* Of all processes together, or of one that the others can't go on without. */
+/* Of all processes together. */
 static void end(const char* message, const char* hint) {
-  fprintf(stderr, "dem_c: %s; %s\n", message, hint);
-  MPI_Abort(comm, 1);
+  if (rank == 0) fprintf(stderr, "dem_c: %s; %s\n", message, hint);
+  MPI_Finalize();
+  exit(1);
 }
 
-static void must(int code) {
+static void all_must(int code) {
   if (code != RCBD_OK) end(rcbd_mpi_message(), rcbd_mpi_hint());
+}
+
+/* What may fail here alone. */
+static void must(int code) {
+  if (code == RCBD_OK) return;
+  fprintf(stderr, "dem_c: %s; %s\n", rcbd_mpi_message(), rcbd_mpi_hint());
+  MPI_Abort(comm, 1);
 }
 
 static rcbd_mpi_field field(void* data, MPI_Datatype type, int32_t columns) {
@@ -141,15 +149,15 @@ static rcbd_mpi_field field(void* data, MPI_Datatype type, int32_t columns) {
 /* Pushes my spheres and hands over those that leave. Returns whether there are new cuts. */
 static int push(rcbd_scene* scene, const double* lo, const double* hi) {
   const rcbd_positions x = rcbd_rows(s.x, s.n, 3);
-  const int code = rcbd_wrap(&x, lo, hi);
-  must(rcbd_mpi_agree(comm, code, rcbd_message(), rcbd_hint()));
+  const int wrapped = rcbd_wrap(&x, lo, hi);
+  all_must(rcbd_mpi_agree(comm, wrapped, rcbd_message(), rcbd_hint()));
   rcbd_step_options step = RCBD_STEP_OPTIONS;
   rcbd_report report = RCBD_REPORT;
   rcbd_result* result;
   rcbd_mpi_moves* moves;
   step.ids = s.id;
-  must(rcbd_mpi_step(comm, scene, &x, &step, &result));
-  must(rcbd_mpi_moves_new(comm, result, s.n, &moves));
+  all_must(rcbd_mpi_step(comm, scene, &x, &step, &result));
+  all_must(rcbd_mpi_moves_new(comm, result, s.n, &moves));
   make_room(moves->rows);
   const rcbd_mpi_field fields[] = {field(s.id, MPI_INT64_T, 1), field(s.x, MPI_DOUBLE, 3), field(s.v, MPI_DOUBLE, 3)};
   must(rcbd_mpi_move(moves, fields, 3));
@@ -171,7 +179,7 @@ static rcbd_mpi_halo* make_halo(rcbd_scene* scene, const double* lo, const doubl
   rcbd_mpi_halo* halo;
   ask.ids = s.id;
   rcbd_scene_cuts(scene, &cuts); /* NULL where it fails */
-  must(rcbd_mpi_halo_new(comm, cuts, &x, &near, &ask, &halo));
+  all_must(rcbd_mpi_halo_new(comm, cuts, &x, &near, &ask, &halo));
   rcbd_cuts_describe(cuts, info);
   rcbd_release(cuts);
   s.ghosts = halo->ghosts;
@@ -215,7 +223,7 @@ static void write_trajectory(int64_t before) {
   for (i = 0; i < s.n && well; ++i)
     well = fseek(file, (long)(24 * (before + s.id[i])), SEEK_SET) == 0 && fwrite(s.x + 3 * i, 24, 1, file) == 1;
   if (file != NULL && fclose(file) != 0) well = 0;
-  must(rcbd_mpi_agree(comm, well ? RCBD_OK : RCBD_IO_ERROR, "the trajectory can't be written", text[TRAJECTORY]));
+  all_must(rcbd_mpi_agree(comm, well ? RCBD_OK : RCBD_IO_ERROR, "the trajectory can't be written", text[TRAJECTORY]));
 }
 
 /* ---- the program ---- */
@@ -273,8 +281,8 @@ int main(int count, char** word) {
   options.tolerance = 0.05;
   options.positions = positions;
   options.replace = 1;
-  must(rcbd_mpi_connect(comm, text[ENDPOINT], NULL, &client));
-  must(rcbd_mpi_scene_open(comm, client, text[SCENE], &options, &scene));
+  all_must(rcbd_mpi_connect(comm, text[ENDPOINT], NULL, &client));
+  all_must(rcbd_mpi_scene_open(comm, client, text[SCENE], &options, &scene));
   if (rank == 0 && text[TRAJECTORY]) { /* empty, before the first push ends */
     FILE* file = fopen(text[TRAJECTORY], "wb");
     if (file != NULL) fclose(file);
