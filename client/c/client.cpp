@@ -19,6 +19,8 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
+constexpr std::chrono::milliseconds kBetweenStops(50);  // a signal handler can't notify
+
 Clock::duration wait_of(double seconds) {
   const double least = seconds > 0 ? std::min(seconds, wire::kDeadlineSecondsMax) : 0;  // NaN: 0
   return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(least));
@@ -35,11 +37,20 @@ Left::Left(double seconds) : until_(Clock::now() + wait_of(seconds)) {}
 
 double Left::seconds() const { return std::max(std::chrono::duration<double>(until_ - Clock::now()).count(), 0.001); }
 
-Status Turns::take(double seconds) {
+Status Turns::take(double seconds, const std::function<bool()>& stop) {
   std::unique_lock lock(mutex_);
-  if (!given_.wait_for(lock, wait_of(seconds), [this] { return !taken_; }))
-    return {Code::busy, "another call of this client, in another thread, is still under way",
-            "wait for it, or give each thread a client of its own"};
+  const auto until = Clock::now() + wait_of(seconds);
+  while (taken_) {
+    const auto now = Clock::now();
+    if (now >= until)
+      return {Code::busy, "another call of this client, in another thread, is still under way",
+              "wait for it, or give each thread a client of its own"};
+    given_.wait_for(lock, std::min<Clock::duration>(until - now, kBetweenStops));
+    if (stop()) {
+      given_.notify_one();  // this may have been the one that was told
+      return {Code::interrupted, "interrupted; another call of this client was still under way"};
+    }
+  }
   taken_ = true;
   return {};
 }
@@ -123,7 +134,7 @@ using namespace rcb;  // NOLINT: the functions below are not of a namespace
 
 Status rcbd_client::connect(client::ConnectOptions options) {
   options.on_notice = [this](const std::string& text) { notices.add(text); };
-  options.on_wait = [this] { return !interrupted.exchange(false) && (cancelled == nullptr || !cancelled->load()); };
+  options.on_wait = [this] { return !interrupts.answer() && (cancelled == nullptr || !cancelled->load()); };
   auto connected = client::Client::connect(options);
   if (connected) client.emplace(std::move(*connected));
   return connected.status();
@@ -131,7 +142,7 @@ Status rcbd_client::connect(client::ConnectOptions options) {
 
 Status rcbd_client::close() {
   turns.take();
-  const Turn turn{turns};
+  const Turn turn(*this);
   for (rcbd_scene* const one : scenes) one->scene.reset();
   scenes.clear();
   client.reset();
@@ -174,5 +185,5 @@ const char* rcbd_notice(rcbd_client* client) {
 }
 
 void rcbd_interrupt(rcbd_client* client) {
-  if (c::usable(client)) client->interrupted = true;
+  if (c::usable(client)) client->interrupts.ask();
 }

@@ -2,14 +2,16 @@
 //
 // Invariants
 // 1. What a C++ Client or Scene is asked, it is asked by who holds the turn; so they belong to one thread at a time.
-// 2. rcbd_interrupt() and rcbd_cancel() only set atomic flags, which the call under way asks for while it waits.
+// 2. rcbd_interrupt() and rcbd_cancel() only set atomic values, which calls ask for while they wait.
 // 3. The thread runs ops in the order in which they were begun. An op lives until it is done: its last holder waits.
 #pragma once
 
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
+#include <cstdint>
 #include <deque>
+#include <functional>
 #include <mutex>
 #include <optional>
 #include <set>
@@ -39,8 +41,8 @@ class Left {
 // Lets one call after another go on.
 class Turns {
  public:
-  // Errors: busy, after so many seconds.
-  Status take(double seconds);
+  // Errors: busy, after so many seconds; interrupted, where `stop` says so meanwhile.
+  Status take(double seconds, const std::function<bool()>& stop);
   void take();
   void give();
 
@@ -48,6 +50,22 @@ class Turns {
   std::mutex mutex_;
   std::condition_variable given_;
   bool taken_ = false;
+};
+
+// What rcbd_interrupt() asks for: the end of the calls under way, or else of the next one that waits.
+class Interrupts {
+ public:
+  void ask() { ++asked_; }
+  std::uint64_t asked() const { return asked_; }
+  bool pending() const { return answered_ != asked_; }
+  // Of who has the turn: true once for all that were asked for.
+  bool answer() {
+    const std::uint64_t asked = asked_;
+    return answered_.exchange(asked) != asked;
+  }
+
+ private:
+  std::atomic<std::uint64_t> asked_{0}, answered_{0};
 };
 
 // What the library has to say, until it is asked for.
@@ -93,22 +111,33 @@ struct rcbd_client final : rcb::c::Handle {
 
   rcb::Status connect(rcb::client::ConnectOptions options);
   rcb::Status close() override;
-  // Does the work when it is this call's turn. Errors also: busy, invalid_argument (it is closed).
+  // Does the work when it is this call's turn. Errors also: busy, interrupted, invalid_argument (it is closed).
+  // op: what ends waiting for the turn in place of rcbd_interrupt().
   template <typename Work>
-  rcb::Status in_turn(const rcb::c::Left& left, const Work& work) {
-    if (rcb::Status status = turns.take(left.seconds()); !status) return status;
-    const Turn turn{turns};
+  rcb::Status in_turn(const rcb::c::Left& left, const Work& work, const std::atomic<bool>* op = nullptr) {
+    const auto stop = [this, op, before = interrupts.asked()] {
+      return op != nullptr ? op->load() : interrupts.asked() != before;
+    };
+    if (rcb::Status status = turns.take(left.seconds(), stop); !status) return status;
+    const Turn turn(*this);
     if (!client) return {rcb::Code::invalid_argument, "the client was closed"};
     return work();
   }
-  // Gives the turn back.
+  // Gives the turn back. An interrupt that came meanwhile was for this call, also if it has ended by itself.
   struct Turn {
-    rcb::c::Turns& turns;
-    ~Turn() { turns.give(); }
+    explicit Turn(rcbd_client& of) : client(of) {}
+    Turn(const Turn&) = delete;
+    Turn& operator=(const Turn&) = delete;
+    ~Turn() {
+      if (!earlier) client.interrupts.answer();
+      client.turns.give();
+    }
+    rcbd_client& client;
+    const bool earlier = client.interrupts.pending();  // one that came between calls
   };
 
   rcb::c::Turns turns;
-  std::atomic<bool> interrupted{false};
+  rcb::c::Interrupts interrupts;
   rcb::c::Notices notices;
   // Of who has the turn:
   const std::atomic<bool>* cancelled = nullptr;  // of the op that is run

@@ -65,7 +65,7 @@ Result<client::Scene> open_when_there(rcbd_client& client, const std::string& na
     auto scene = client.client->open_scene(name, {given.seat, given.seats, left.seconds()});
     if (scene || scene.status().code() != Code::not_found || given.seat == 0 || left.seconds() < kBetweenLooks.count())
       return scene;
-    if (client.interrupted.exchange(false))
+    if (client.interrupts.answer())
       return Status(Code::interrupted, fmt::format("interrupted; scene '{}' is not there yet", name));
     std::this_thread::sleep_for(kBetweenLooks);
   }
@@ -123,7 +123,7 @@ Status take_arrays(client::Scene& scene, std::size_t count, rcbd_layout layout, 
 
 rcb::Status rcbd_scene::close() {
   client->turns.take();
-  const rcbd_client::Turn turn{client->turns};
+  const rcbd_client::Turn turn(*client);
   client->scenes.erase(this);
   scene.reset();
   return {};

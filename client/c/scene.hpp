@@ -20,11 +20,12 @@ struct rcbd_scene final : rcb::c::Handle {
   rcb::Status close() override;
   // As rcbd_client::in_turn(). Errors also: invalid_argument (the scene is closed).
   template <typename Work>
-  rcb::Status in_turn(const rcb::c::Left& left, const Work& work) {
-    return client->in_turn(left, [&]() -> rcb::Status {
+  rcb::Status in_turn(const rcb::c::Left& left, const Work& work, const std::atomic<bool>* op = nullptr) {
+    const auto with_scene = [&]() -> rcb::Status {
       if (!scene) return {rcb::Code::invalid_argument, "scene '" + name + "' was closed"};
       return work(*scene);
-    });
+    };
+    return client->in_turn(left, with_scene, op);
   }
 
   rcb::c::Held<rcbd_client> client;

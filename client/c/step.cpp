@@ -63,7 +63,7 @@ struct Cancellable {
 Result<client::StepResult> make_step(rcbd_scene& scene, const StepAsk& ask, const std::atomic<bool>* cancelled) {
   Result<client::StepResult> made = Status(Code::internal, "no step");
   const Left left(ask.options.deadline_seconds);
-  const Status status = scene.in_turn(left, [&](client::Scene& open) {
+  const auto step = [&](client::Scene& open) {
     if (cancelled != nullptr && cancelled->load())
       return Status(Code::interrupted, fmt::format("cancelled; no step of scene '{}' was begun", scene.name));
     const Cancellable here(*scene.client, cancelled);
@@ -71,8 +71,8 @@ Result<client::StepResult> make_step(rcbd_scene& scene, const StepAsk& ask, cons
     options.deadline_seconds = left.seconds();
     made = open.step(ask.positions, options);
     return made.status();
-  });
-  if (!status) return status;
+  };
+  if (Status status = scene.in_turn(left, step, cancelled); !status) return status;
   return made;
 }
 

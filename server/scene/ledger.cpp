@@ -16,7 +16,8 @@ std::uint64_t session_key(const std::string& session) { return XXH3_64bits(sessi
 Status stale_step(const std::string& scene, std::int64_t step, std::int64_t last) {
   return {Code::stale_step, fmt::format("step {} of scene '{}' is not above the last one, {}", step, scene, last),
           fmt::format("another client has pushed, or a solver begins anew: push step {} or a later one, or create the "
-                      "scene anew with replace",
+                      "scene anew with replace; or each process of a parallel solver has opened the scene by itself: "
+                      "then give seat and seats",
                       last + 1)};
 }
 

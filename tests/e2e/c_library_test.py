@@ -26,7 +26,7 @@ class CLibrary(LanguageTest):
         self.cases_of("c_near", 2)
 
     def test_surroundings(self):
-        self.cases_of("c_surroundings", 6)
+        self.cases_of("c_surroundings", 7)
 
     def test_a_lost_service_is_told_when_asked_for(self):
         """A service that was stopped is waited for; the notices say so."""

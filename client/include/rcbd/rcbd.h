@@ -34,7 +34,7 @@
    Lengths are in the unit of the positions. Times are seconds. A flag is 0 or 1.
 
    Threads. Any thread may call anything. Calls of a client and its scenes take turns: a call that has waited for its
-   turn until its deadline fails with RCBD_BUSY. rcbd_interrupt() and rcbd_cancel() reach a call once it is its turn.
+   turn until its deadline fails with RCBD_BUSY.
    Cuts, results and arrays can be read by many threads at once. Threads that the library starts take no signals.
 
    Floating point. Each call computes with the default environment (rounding to nearest, no traps, denormals kept), and
@@ -131,9 +131,10 @@ int rcbd_connect(const char* endpoint, const rcbd_connect_options* options, rcbd
    Doesn't wait for other threads' calls. The text is valid until this thread asks again. At most 100 are kept, the
    latest. */
 const char* rcbd_notice(rcbd_client* client);
-/* Ends the call of this client that is under way, or the next one that has to wait, with `interrupted`. For signal
-   handlers: only this function and rcbd_cancel() may be called in one. A step that was interrupted may have been made
-   all the same: make the same step again to know. */
+/* Ends the calls of this client that are under way, of all threads, also those that wait for their turn; where there is
+   none, the next one that has to wait. They fail with `interrupted`, unless they end by themselves meanwhile. For
+   signal handlers: only this function and rcbd_cancel() may be called in one. A step that was interrupted may have been
+   made all the same: make the same step again to know. */
 void rcbd_interrupt(rcbd_client* client);
 
 /* ---- scene ---- */

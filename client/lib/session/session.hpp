@@ -61,10 +61,10 @@ class Session {
   // loop of its own.
   template <typename Once, typename Mend>
   std::invoke_result_t<Once&> retry_until_deadline(Retry& retry, Once&& once, Mend&& mend) {
-    for (;;) {
+    for (const std::uint64_t before = generation_;;) {
       Status status = ensure(retry.deadline());
       if (status) {
-        if (retry.end_of_waiting()) notice(fmt::format("{} answers again", endpoint_text_));
+        if (generation_ != before && retry.end_of_waiting()) notice(fmt::format("{} answers again", endpoint_text_));
         auto result = once();
         if (result) return result;
         status = status_of(result);

@@ -271,6 +271,75 @@ static void cancelled(void) {
   rcbd_release(op);
 }
 
+struct one_step {
+  rcbd_scene* scene;
+  int code;
+};
+
+static void* step_alone(void* of) {
+  struct one_step* one = (struct one_step*)of;
+  const rcbd_positions positions = all();
+  one->code = rcbd_step(one->scene, &positions, NULL, NULL);
+  return NULL;
+}
+
+static rcbd_op* begun(rcbd_client* client, rcbd_scene* scene) {
+  const rcbd_positions none = rcbd_rows(NULL, 0, 3);
+  rcbd_scene_options soon = RCBD_SCENE_OPTIONS;
+  rcbd_scene* no_scene;
+  rcbd_op* op;
+  int code;
+  MUST(rcbd_step_begin(scene, &none, NULL, &op));
+  soon.deadline_seconds = 0.1;
+  do code = rcbd_scene_open(client, "nothing", &soon, &no_scene);
+  while (code == RCBD_NOT_FOUND);
+  EXPECT_CODE(RCBD_BUSY, code); /* so it is the step's turn */
+  return op;
+}
+
+/* An interrupt ends the calls under way, also one that waits for its turn, and no later one. */
+static void interrupted(void) {
+  rcbd_client *client = connected(), *other = connected();
+  rcbd_scene_options options = RCBD_SCENE_OPTIONS;
+  const rcbd_positions none = rcbd_rows(NULL, 0, 3);
+  const struct timespec while_it_waits = {0, 300000000};
+  struct one_step one;
+  rcbd_scene* seat[2];
+  rcbd_op *first, *second;
+  pthread_t thread;
+  int round, code;
+  options.parts = options.seats = 2;
+  options.replace = 1;
+  MUST(rcbd_scene_open(client, "interrupted", &options, &seat[0]));
+  options.seat = 1;
+  MUST(rcbd_scene_open(other, "interrupted", &options, &seat[1]));
+  for (round = 0; round < 12; ++round) {
+    first = begun(client, seat[0]); /* waits for the other seat */
+    if (round % 2 == 0) rcbd_interrupt(client);
+    MUST(rcbd_step_begin(seat[1], &none, NULL, &second));
+    code = rcbd_wait(first, -1, NULL); /* it may have ended by itself */
+    if (round % 2 == 0 && code == RCBD_INTERRUPTED) code = rcbd_step(seat[0], &none, NULL, NULL);
+    EXPECT_CODE(RCBD_OK, code);
+    MUST(rcbd_wait(second, -1, NULL));
+    rcbd_release(first);
+    rcbd_release(second);
+  }
+  one.scene = opened(client, "alone");
+  first = begun(client, seat[0]);
+  EXPECT(pthread_create(&thread, NULL, step_alone, &one) == 0);
+  nanosleep(&while_it_waits, NULL);
+  rcbd_interrupt(client);
+  pthread_join(thread, NULL);
+  EXPECT(one.code == RCBD_INTERRUPTED);
+  EXPECT_CODE(RCBD_INTERRUPTED, rcbd_wait(first, -1, NULL));
+  rcbd_release(first);
+  rcbd_release(one.scene);
+  rcbd_release(seat[0]);
+  rcbd_release(seat[1]);
+  rcbd_release(client);
+  rcbd_release(other);
+}
+
 /* Signals are for the program's threads: no other one takes them. */
 static void signals(void) {
   rcbd_client* client = connected();
@@ -296,8 +365,9 @@ static void signals(void) {
 }
 
 int main(int count, char** arguments) {
-  static const struct test_case cases[] = {{"two_threads", two_threads},   {"forked", forked},
-                                           {"surroundings", surroundings}, {"denormals", denormals},
-                                           {"cancelled", cancelled},       {"signals", signals}};
+  static const struct test_case cases[] = {
+      {"two_threads", two_threads}, {"forked", forked},           {"surroundings", surroundings},
+      {"denormals", denormals},     {"interrupted", interrupted}, {"cancelled", cancelled},
+      {"signals", signals}};
   return run_case(count, arguments, cases, sizeof cases / sizeof cases[0]);
 }
