@@ -7,6 +7,7 @@
 #include <utility>
 
 #include <fmt/format.h>
+#include <unistd.h>
 
 #include "client/c/call.hpp"
 #include "client/c/scene.hpp"
@@ -25,6 +26,9 @@ Clock::duration wait_of(double seconds) {
   const double least = seconds > 0 ? std::min(seconds, wire::kDeadlineSecondsMax) : 0;  // NaN: 0
   return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(least));
 }
+
+// So that messages tell which of several processes it is.
+std::string with_pid(const char* name) { return fmt::format("{} (pid {})", name, ::getpid()); }
 
 }  // namespace
 
@@ -162,7 +166,7 @@ int rcbd_connect(const char* endpoint, const rcbd_connect_options* options, rcbd
     auto made = std::make_unique<rcbd_client>();
     Status status = made->connect({.endpoint = endpoint == nullptr ? "" : endpoint,
                                    .deadline_seconds = given->deadline_seconds,
-                                   .name = given->name == nullptr ? "librcbd" : given->name,
+                                   .name = c::with_pid(given->name == nullptr ? "librcbd" : given->name),
                                    .token = given->token == nullptr ? "" : given->token,
                                    .path = *path,
                                    .outlive = given->outlive != 0});

@@ -294,7 +294,7 @@ Status CountPass::fault(std::size_t first, std::size_t count) const {
     if (const auto found = particles::fault_of(positions_.point(i), positions_.dims, weight, id))
       return {found->code,
               fmt::format("particle {}{}: {}", id, options_.ids.empty() ? " (index, from 0)" : "", found->text),
-              particles::kGoodValues};
+              found->rule};
   }
   return {};
 }

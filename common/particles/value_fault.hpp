@@ -14,9 +14,8 @@ struct ValueFault {
   std::size_t particle = 0;            // its place, for those who look through many
   Code code = Code::invalid_argument;  // or not_finite
   std::string text;                    // "x is nan"
+  const char* rule = "";               // that is broken: a hint
 };
-inline constexpr const char* kGoodValues =
-    "positions must be finite, weights finite and >= 0, ids >= 0; the previous step stands";
 
 std::optional<ValueFault> fault_of(const geometry::Point& x, int dims, double weight, Id id);
 

@@ -20,7 +20,7 @@ class CLibrary(LanguageTest):
         self.one_history([os.path.join(BIN, "c_history")])
 
     def test_misuse(self):
-        self.cases_of("c_misuse", 7)
+        self.cases_of("c_misuse", 8)
 
     def test_near(self):
         self.cases_of("c_near", 2)

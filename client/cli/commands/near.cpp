@@ -75,7 +75,7 @@ std::string axis_name(const Json& axis) {
 
 std::string narrowest_text(const Json& reply) {
   const Json narrowest = reply.value("narrowest_region", Json());
-  if (!narrowest.is_object()) return "no region has a bound on both sides of an axis";
+  if (!narrowest.is_object()) return "no region has a bound on both sides of an axis, so there is no narrowest width";
   return fmt::format("narrowest region: part {}, {} along {}", text_of(narrowest, "part"), text_of(narrowest, "width"),
                      axis_name(narrowest.at("axis")));
 }

@@ -114,7 +114,7 @@ int rcbd_close(void* handle);
 
 typedef struct rcbd_connect_options {
   size_t size;
-  const char* name;  /* how messages of the service call this client; NULL: "librcbd" */
+  const char* name;  /* how messages of the service call this client, with its process; NULL: "librcbd" */
   const char* token; /* TCP only; NULL: RCBD_TOKEN, else RCBD_TOKEN_FILE, else that of a service on this machine */
   const char* path; /* how positions go to the ranks: "auto", "shared", "direct", "gateway"; NULL: RCBD_PATH, or auto */
   double deadline_seconds;
@@ -162,10 +162,10 @@ typedef struct rcbd_scene_options {
 
 /* Makes the scene, or goes on with the one that is there, from its last step. If that one has other options than these,
    the failure is already_exists, which names one of them. Names are 1 to 64 of A-Z a-z 0-9 . _ -
-
    Of several seats number 0 makes the scene, and the others wait until it is there. With `replace` the others must open
    it after seat 0 has (a barrier), since they could take the old scene for the new one. Seat k of M keeps the particles
    of the parts [k parts / M, (k+1) parts / M), both rounded down.
+   A scene that others have open can be opened, too; with `replace`, or as a seat that is held, only when they close it.
    Fails with: already_exists, not_found, busy, invalid_argument. */
 int rcbd_scene_open(rcbd_client* client, const char* name, const rcbd_scene_options* options, rcbd_scene** scene);
 /* Fails with: not_found, busy (somebody has it open). */
@@ -257,9 +257,9 @@ typedef struct rcbd_step_options {
 /* Makes a step with all rows of this process; there may be none. Returns when it is made on all ranks or on none. After
    a failure the step before stands. Only after deadline_exceeded, unavailable and interrupted, and with several seats
    aborted, the step may have been made: the same call again gives its result then.
-   Fails with: not_finite, not_conserved, duplicate_id, stale_step, invalid_argument, busy (somebody else steps the
-   scene, or a step was begun), not_found (the scene was dropped or made anew: open it again), too_large, unsupported,
-   and those. result: may be NULL. */
+   Where particles come or go only their number is checked, not which ones they are; ids that come twice are found.
+   Fails with: not_finite, not_conserved, duplicate_id, stale_step, invalid_argument, busy (somebody else steps it, or a
+   step was begun), not_found (dropped, or made anew), too_large, unsupported, and those. result: may be NULL. */
 int rcbd_step(rcbd_scene* scene, const rcbd_positions* positions, const rcbd_step_options* options,
               rcbd_result** result);
 /* The same, in a thread of the library, which makes the steps begun with one client one after another, in the order
@@ -268,8 +268,7 @@ int rcbd_step(rcbd_scene* scene, const rcbd_positions* positions, const rcbd_ste
    too; the structs themselves are copied. */
 int rcbd_step_begin(rcbd_scene* scene, const rcbd_positions* positions, const rcbd_step_options* options, rcbd_op** op);
 /* Waits at most so long (0: not at all; < 0: until it is done) and returns RCBD_PENDING if it isn't done; else what
-   rcbd_step() would have. May be asked again, by any thread; each result given is to
-   be released. result: may be NULL. */
+   rcbd_step() would have. May be asked again, by any thread; each result given is to be released. It may be NULL. */
 int rcbd_wait(rcbd_op* op, double seconds, rcbd_result** result);
 /* Ends the step with `interrupted`, unless it is done before that is noticed: within 0.1 s, or 2 s where the service
    has gone. Of several seats it then fails for all. For other threads and signal handlers. Releasing the last handle of

@@ -106,7 +106,7 @@ struct StepOptions {
   std::int64_t step = -1;
   View<std::int64_t> ids = {};
   View<double> weights = {};
-  std::int64_t inserted = 0;
+  std::int64_t inserted = 0;  // where these are not 0, the number of particles is checked, not which ones
   std::int64_t removed = 0;
   double step_seconds = -1;
   bool want_parts = false;

@@ -1,6 +1,7 @@
 #include "client/lib/client.hpp"
 
 #include <cmath>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -48,8 +49,11 @@ Result<Client> Client::connect(const ConnectOptions& options) {
 
 Status Client::create_scene(const std::string& name, const SceneOptions& options, double deadline_seconds) {
   if (Status status = wire::check_scene_name(name); !status) return status;
-  if (std::isnan(options.tolerance) || std::isnan(options.axis_hysteresis) || std::isnan(options.cut_tolerance))
-    return {Code::invalid_argument, "a tolerance or axis hysteresis that is not a number"};
+  for (const auto& [option, value] :
+       {std::pair("tolerance", options.tolerance), std::pair("axis_hysteresis", options.axis_hysteresis),
+        std::pair("cut_tolerance", options.cut_tolerance)})
+    if (std::isnan(value))
+      return {Code::invalid_argument, fmt::format("{} is not a number", option), "give a number >= 0"};
   if (options.threads < 1)
     return {Code::invalid_argument, fmt::format("{} threads", options.threads), "give 1 or more"};
   wire::Json request{{"command", "scene.create"},

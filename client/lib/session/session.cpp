@@ -1,7 +1,6 @@
 #include "client/lib/session/session.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstdlib>
 #include <random>
@@ -26,15 +25,6 @@ namespace {
 constexpr double kGoodbyeSeconds = 0.2;
 constexpr std::size_t kMachineBytesMax = 1024;
 constexpr std::string_view kEndpointListener = "endpoint";
-
-// Commands that change nothing, or whose repetition changes nothing more.
-bool repeatable(std::string_view command) {
-  constexpr std::array<std::string_view, 19> kRepeatable{
-      "status",  "scene.open", "scene.close", "scene.list", "scene.show", "error",  "counts",
-      "cuts",    "history",    "stats",       "owner",      "box",        "assign", "fetch",
-      "quality", "compare",    "write_parts", "halo",       "neighbours"};
-  return std::find(kRepeatable.begin(), kRepeatable.end(), command) != kRepeatable.end();
-}
 
 // Not seeded from the clock: two clients that start at the same moment must differ.
 std::string random_session() {
@@ -352,48 +342,9 @@ Result<Frame> Session::await_answer_to(std::uint64_t request, const std::string&
   auto answer = await_answer(*connection_, request, deadline);
   if (!connection_->lost() || told_goodbye_) drop_connection();
   if (!answer && answer.status().code() == Code::deadline_exceeded && !connection_)
-    return Status(Code::deadline_exceeded, fmt::format("{} did not answer '{}' in time", endpoint_text_, what),
+    return Status(Code::deadline_exceeded, fmt::format("{} did not answer in time: {}", endpoint_text_, what),
                   "the service may be stopped or overloaded; see its log, or wait longer");
   return answer;
-}
-
-Result<Frame> Session::call_once(wire::Json request, const Retry& retry) {
-  const auto command = wire::string_field(request, "command", 64);
-  if (!command) return command.status();
-  if (!request.contains("deadline_seconds")) request["deadline_seconds"] = retry.seconds_left();
-  const std::uint64_t number = next_request();
-  return exchange_frames(number, request_frame(number, request), *command, retry.deadline());
-}
-
-Result<Frame> Session::call(wire::Json request, double deadline_seconds) {
-  const auto command = wire::string_field(request, "command", 64);
-  if (!command) return command.status();
-  Retry retry(deadline_seconds);
-  if (*command == "shutdown") {  // not retry_until_deadline(): if the service is gone, it has shut down
-    if (Status status = ensure(retry.deadline()); !status) return status;
-    return call_once(std::move(request), retry);
-  }
-  bool sent = false;  // it may have been done
-  const bool again = repeatable(*command) || (*command == "scene.create" && wire::is_true(request, "replace"));
-  const bool frees = *command == "scene.create" || *command == "scene.drop";
-  // Whoever holds the scene may be a solver whose machine has vanished, which the service notices in a while.
-  const auto mend = [&](const Status& status) {
-    sent = false;
-    return frees && status.code() == Code::busy && options_.outlive &&
-           wait(retry, status, fmt::format("'{}' to be possible: {}", *command, status.message())).ok();
-  };
-  const auto once = [&]() -> Result<Frame> {
-    if (sent && !again)
-      return Status(
-          Code::unavailable,
-          fmt::format("the connection to {} was lost; whether '{}' was done is not known", endpoint_text_, *command),
-          "ask the service, then repeat it if need be");
-    sent = true;
-    auto answer = call_once(request, retry);
-    if (!answer && told_goodbye_) sent = false;  // a service that ends has answered whatever it has begun
-    return answer;
-  };
-  return retry_until_deadline(retry, once, mend);
 }
 
 }  // namespace rcb::client

@@ -167,6 +167,7 @@ class Session {
   // Of data(). New connections are tried once, then the endpoint, if the caller leaves the choice.
   void give_up_data();
   Status lost_connection() const;
+  bool held_here(const Status& status) const;
 
   ConnectOptions options_;
   std::vector<Endpoint> endpoints_;  // to try; after the first connection only the one that answered

@@ -54,9 +54,7 @@ void SharedArrays::unshare(Session& session, const Deadline& deadline) {
   }
 }
 
-std::byte* SharedArrays::first_given() {
-  return plain_ ? plain_->data() : given_.memory->writable().data();
-}
+std::byte* SharedArrays::first_given() { return plain_ ? plain_->data() : given_.memory->writable().data(); }
 
 Result<SharedArrays::Room> SharedArrays::make_given(std::size_t count, int dims, std::size_t width, Order order) {
   if (count > static_cast<std::uint64_t>(wire::kParticlesMax))

@@ -26,20 +26,17 @@ FileVersion version_of(const struct stat& about) {
 
 Result<InputFile> InputFile::open(const std::string& path) {
   if (path.find('\0') != std::string::npos) return Status(Code::invalid_argument, "a file name holds a NUL byte");
-  return take(Descriptor(::open(path.c_str(), kFlags)), path);
+  return take(Descriptor(::open(path.c_str(), kFlags)), path, "check the path; it is relative to this folder");
 }
 
 Result<InputFile> InputFile::open_in(int folder, const std::string& name, const std::string& path) {
   return take(Descriptor(::openat(folder, name.c_str(), kFlags | O_NOFOLLOW)), path);
 }
 
-Result<InputFile> InputFile::take(Descriptor descriptor, const std::string& path) {
+Result<InputFile> InputFile::take(Descriptor descriptor, const std::string& path, const char* hint) {
   if (!descriptor.open()) {
     const int error = errno;
-    if (error == ENOENT || error == ENOTDIR) {
-      return Status(Code::not_found, path + ": no such file",
-                    "check the path; it is relative to where the reader runs");
-    }
+    if (error == ENOENT || error == ENOTDIR) return Status(Code::not_found, path + ": no such file", hint);
     return Status(Code::io_error, fmt::format("{}: can't be opened: {}", path, std::strerror(error)),
                   "check its permissions");
   }

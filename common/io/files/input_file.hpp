@@ -27,8 +27,8 @@ class InputFile {
   static Result<InputFile> open(const std::string& path);
   // Like open(), for a name in an open folder, which must not be a symbolic link; path: for messages.
   static Result<InputFile> open_in(int folder, const std::string& name, const std::string& path);
-  // Of what has just been opened; if it wasn't, errno says why.
-  static Result<InputFile> take(Descriptor descriptor, const std::string& path);
+  // Of what has just been opened; if it wasn't, errno says why. hint: of a file that isn't there.
+  static Result<InputFile> take(Descriptor descriptor, const std::string& path, const char* hint = "check the path");
 
   const std::string& path() const { return path_; }
   int descriptor() const { return descriptor_.get(); }

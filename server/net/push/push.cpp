@@ -45,13 +45,13 @@ bool by_held(const PushTerms& terms, const scene::SceneState& scene) {
 
 // Checks which arrays come besides the positions.
 Status check_arrays(const PushTerms& terms, const scene::SceneState& scene, std::size_t seats) {
-  const std::string with_ids = "say \"ids\" and send the array id";
+  const std::string with_ids = "give the ids of the particles (on the wire: \"ids\", and the array id)";
   if (terms.n == 0) return {};
   if (!terms.ids && seats > 1) return wrong("the push of a seat has no ids", with_ids);
   if (!scene.step || scene.n == 0) return {};
   if (!terms.ids && terms.flows()) return wrong("particles come or go, and the push has no ids", with_ids);
   if (!terms.ids && scene.ids)
-    return wrong(fmt::format("scene '{}' has ids of its own, and the push has none", terms.id.scene), with_ids);
+    return wrong(fmt::format("the particles of scene '{}' have ids, and the push has none", terms.id.scene), with_ids);
   if (terms.weights == scene.weights) return {};
   if (terms.weights)
     return wrong(fmt::format("the push has weights, scene '{}' has none", terms.id.scene),

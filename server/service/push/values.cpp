@@ -60,7 +60,7 @@ Status fault_in(comm::Comm& comm, const particles::ParticleView& view, bool has_
   return agree_status(
       comm, {fault->code,
              fmt::format("particle {}{}: {}", view.id[fault->particle], has_ids ? "" : " (index, from 0)", fault->text),
-             particles::kGoodValues});
+             fault->rule});
 }
 
 }  // namespace rcb::service

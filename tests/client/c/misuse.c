@@ -357,9 +357,28 @@ static void no_service(void) {
   EXPECT(strcmp(rcbd_code_name(20), "not_conserved") == 0 && strcmp(rcbd_code_name(65538), "internal") == 0);
 }
 
+/* Waiting for this process' own other client would be in vain: the default deadline is 60 s. */
+static void held_here(void) {
+  rcbd_client *client = connected(), *other = connected();
+  rcbd_scene* scene = opened(client, "held");
+  rcbd_scene_options options = RCBD_SCENE_OPTIONS;
+  rcbd_scene* none;
+  options.parts = 8;
+  options.replace = 1;
+  EXPECT_CODE(RCBD_BUSY, rcbd_scene_open(other, "held", &options, &none));
+  EXPECT(strstr(rcbd_message(), "librcbd (pid ") != NULL && strstr(rcbd_hint(), "this process") != NULL);
+  EXPECT(rcbd_notice(other) == NULL);
+  EXPECT_CODE(RCBD_BUSY, rcbd_scene_drop(other, "held"));
+  EXPECT(rcbd_notice(other) == NULL);
+  rcbd_release(scene);
+  MUST(rcbd_scene_drop(other, "held"));
+  rcbd_release(client);
+  rcbd_release(other);
+}
+
 int main(int count, char** arguments) {
-  static const struct test_case cases[] = {{"nulls", nulls},           {"shapes", shapes}, {"going_on", going_on},
-                                           {"not_finite", not_finite}, {"closed", closed}, {"arrays", arrays},
-                                           {"no_service", no_service}};
+  static const struct test_case cases[] = {{"held_here", held_here}, {"nulls", nulls},           {"shapes", shapes},
+                                           {"going_on", going_on},   {"not_finite", not_finite}, {"closed", closed},
+                                           {"arrays", arrays},       {"no_service", no_service}};
   return run_case(count, arguments, cases, sizeof cases / sizeof cases[0]);
 }
