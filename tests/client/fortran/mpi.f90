@@ -309,7 +309,7 @@ contains
     why = 'no disk'
     call rcbd_mpi_agree(comm, stat, why)
     call rcbd_mpi_agree(comm, stat, why)
-    call failed(rcbd_io_error, 'process 0: no disk')
+    call check(why == 'process 0: no disk', 'agreed on twice, the process is named once')
     call rcbd_mpi_connect(comm, client, 'unix:/nonexistent/rcbd.sock', stat=stat, errmsg=why)
     call failed(rcbd_unavailable, 'process 0: ')
   end subroutine
