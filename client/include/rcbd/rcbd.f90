@@ -1503,11 +1503,15 @@ contains
     integer(int32), allocatable, target :: part(:)
     integer(int64) :: k, seat
     type(c_cuts_info) :: info
+    type(c_ask_options) :: mine
+    mine%size = c_sizeof(mine)
+    mine%ids = c%ids
+    mine%threads = c%threads
     if (allocated(of_seat)) deallocate (of_seat)
     allocate (of_seat(0:c%seats - 1), part(max(rows%at%count, 1_int64)))
     of_seat = 0
     call describe(self, info, stat, errmsg)
-    if (bad(c_cuts_owner(live(self), rows%at, c, c_loc(part)), stat, errmsg)) return
+    if (bad(c_cuts_owner(live(self), rows%at, mine, c_loc(part)), stat, errmsg)) return
     do k = 1, rows%at%count
       seat = ((part(k) + 1_int64) * c%seats - 1) / info%parts
       of_seat(seat) = of_seat(seat) + 1

@@ -112,7 +112,7 @@ contains
   ! ---- failures ----
 
   ! Of all processes: stat is rcbd_ok where all have that one. Otherwise all get stat and errmsg of the first process that
-  ! has not.
+  ! has not; rcbd_aborted and rcbd_deadline_exceeded, which may follow from what failed on another one, come after all others.
   subroutine rcbd_mpi_agree(comm, stat, errmsg)
     type(MPI_Comm), intent(in) :: comm
     integer, intent(inout) :: stat
@@ -121,9 +121,12 @@ contains
     character(1024) :: text
     call MPI_Comm_rank(comm, rank)
     call MPI_Comm_size(comm, size)
-    mine = merge(size, rank, stat == rcbd_ok)
+    mine = rank
+    if (stat == rcbd_aborted .or. stat == rcbd_deadline_exceeded) mine = size + rank
+    if (stat == rcbd_ok) mine = 2 * size
     call MPI_Allreduce(mine, first, 1_int32, MPI_INTEGER4, MPI_MIN, comm)
-    if (first == size) return
+    if (first == 2 * size) return
+    first = mod(first, size)
     code = int(stat, int32)
     text = errmsg
     if (first == rank .and. index(errmsg, 'process ') /= 1) &  ! else it was agreed on before
