@@ -124,6 +124,10 @@ class Interface(unittest.TestCase):
     def test_version(self):
         self.assertIn(f"VERSION {rcbd.__version__} ", text_of(ROOT, "CMakeLists.txt"))
 
+    def test_old_numpy(self):
+        """Which has no numpy.typing."""
+        run("-c", "import sys; sys.modules['numpy.typing'] = None; import rcbd.mpi", program=PYTHON, check=True)
+
     def imported(self, **env):
         return run("-c", "import rcbd; print(rcbd.library_path)", program=PYTHON, env=env, cwd="/")
 

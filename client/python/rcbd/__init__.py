@@ -27,7 +27,7 @@ To see the parts of a plane, with matplotlib:
     step = client.scene("plane", parts=8, dims=2, replace=True).step(xy)
     plt.scatter(xy[:, 0], xy[:, 1], c=step.parts, cmap="tab20", s=2)
 
-In a notebook connect once, and open a scene again with the same client: another one would wait for the first to close it.
+In a notebook connect once, and open a scene again with the same client: for another one it is held open by the first.
 
 Failures are rcbd.Error, also a step's positions of other dims than the scene's; wrong types and shapes of arrays TypeError and
 ValueError. Ctrl-C ends a call that waits. What is
