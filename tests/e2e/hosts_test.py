@@ -34,11 +34,15 @@ class HostsTest(MachinesTest):
                 self.machines(4)
                 environment = self.hosts.environment(HOME=self.hosts.shared, RCBD_BIN_DIR=self.bin, PATH=f"{os.environ['PATH']}:{self.bin}",
                                                      OMPI_ALLOW_RUN_AS_ROOT="1", OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="1")
+                said = ""
                 for name, lines in itertools.groupby(commands(one.text), key=lambda line: line[0]):
                     script = "\n".join(["set -e", *(line for _, line in lines)])
                     done = self.hosts.run(name, "bash", "-c", script, env=environment, capture_output=True, text=True, timeout=200,
                                           cwd=self.hosts.shared)
                     self.assertEqual(done.returncode, 0, f"on {name}: {script}: {done.stdout}{done.stderr}")
+                    said += done.stdout
+                if "status" in one.text:
+                    self.assertRegex(said, r"a \(ranks 0-(1\), b \(ranks 2-3|3\), b \(ranks 4-7)\)")
                 endpoint = f"file:{self.hosts.shared}/rcbd.where"
                 if os.path.exists(endpoint[5:]):
                     self.on("a", os.path.join(self.bin, "rcbctl"), "down", endpoint=endpoint, RCBD_TOKEN_FILE="", check=True)

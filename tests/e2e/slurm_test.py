@@ -3,6 +3,7 @@ that find it by its file, and what becomes of both when a job is cancelled or a 
 import re
 
 from machines import *
+from pages import blocks_for, commands
 from slurm import Cluster, missing
 
 ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
@@ -171,9 +172,7 @@ class SlurmTest(MachinesTest):
 
     def test_the_page_on_clusters_is_true_to_the_letter(self):
         self.cluster(3)
-        blocks = re.findall(r"^```\n(.*?)^```$", text_of(ROOT, "docs", "cluster.md"), re.M | re.S)
-        named, slurm = ([line.split("$ ", 1) for line in block.splitlines()] for block in blocks)
-        self.assertEqual([name for name, _ in named], ["a", "a", "c", "a"])
+        block, = blocks_for(__file__)
 
         def on(name, command):
             settings = self.hosts.environment(HOME=self.hosts.shared, XDG_STATE_HOME="")
@@ -183,10 +182,7 @@ class SlurmTest(MachinesTest):
             self.assertEqual(done.returncode, 0, f"{command}: {done.stdout}{done.stderr}")
             return done.stdout
 
-        said = [on(*line) for line in named]
-        self.assertIn("a (ranks 0-1), b (ranks 2-3)", said[1])
-        self.assertIn("50 steps", said[2])
-        jobs = re.findall(r"job (\d+)", "".join(on(*line) for line in slurm))
+        jobs = re.findall(r"job (\d+)", "".join(on(*line) for line in commands(block.text)))
         self.assertEqual(len(jobs), 2)
         self.ended(jobs[1], 120)
         self.assertIn("50 steps", self.output(jobs[1], "solver"))
