@@ -60,7 +60,7 @@ class Disk(Actor):
                 self.scenes.remove(scene)
             time.sleep(max(0, min(self.random.uniform(0.1, 3), self.world.left())))
         finally:
-            shutil.rmtree(self.path())
+            shutil.rmtree(self.path(), ignore_errors=True)
 
     def end(self):
         """The service is also stopped with a full disk."""
@@ -72,7 +72,8 @@ class Disk(Actor):
 
     def fill(self):
         """Takes every byte, then every inode."""
-        os.mkdir(self.path())
+        with contextlib.suppress(OSError):  # where the service has taken all, there is nothing left to take
+            os.mkdir(self.path())
         with contextlib.suppress(OSError), open(os.path.join(self.path(), "bytes"), "wb", buffering=0) as file:
             for size in (1 << 16, 1):
                 with contextlib.suppress(OSError):
