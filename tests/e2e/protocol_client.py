@@ -182,7 +182,7 @@ class Client:
                 continue
             if kind == FAILURE:
                 raise Refused(document["failure"]["code"], document["failure"]["message"])
-            assert kind == REPLY and request == self.number, (kind, request, document)
+            assert kind == REPLY and request == self.number, (self.number, kind, request, document)
             return document, bulk
 
     def write(self, data):
