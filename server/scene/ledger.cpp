@@ -27,8 +27,10 @@ Status made_anew(const std::string& scene) {
 }
 
 Ledger::Ledger(std::string name, Created created, std::uint64_t incarnation, HistoryMemory& memory,
-               std::unique_ptr<Journal> journal)
-    : name_(std::move(name)), journal_(std::move(journal)), history_(std::make_unique<History>(memory, name_)) {
+               std::unique_ptr<Journal> journal, std::string loss)
+    : name_(std::move(name)),
+      journal_(std::move(journal)),
+      history_(std::make_unique<History>(memory, name_, 0, std::move(loss))) {
   static_cast<Held&>(now_) = std::move(created.held);
   now_.options = std::move(created.options);
   now_.incarnation = incarnation;
@@ -239,14 +241,18 @@ const StepReport* Ledgers::take(Change change, std::uint64_t incarnation) {
   if (auto* created = std::get_if<Created>(&change.event)) {
     drop(change.scene);
     std::unique_ptr<Journal> journal;
+    std::string loss;
     if (keeping_.storage) {
       auto made = Journal::create(*keeping_.storage, keeping_.data_dir, {change.scene, incarnation});
-      if (made.ok())
+      if (made.ok()) {
         journal = std::make_unique<Journal>(std::move(*made));
-      else
-        spdlog::warn("scene '{}' will not outlive the service: {}", change.scene, made.status().message());
+      } else {
+        loss = made.status().message();
+        spdlog::warn("scene '{}' will not outlive the service: {}", change.scene, loss);
+      }
     }
-    ledgers_.try_emplace(change.scene, change.scene, std::move(*created), incarnation, *memory_, std::move(journal));
+    ledgers_.try_emplace(change.scene, change.scene, std::move(*created), incarnation, *memory_, std::move(journal),
+                         std::move(loss));
   } else if (std::holds_alternative<Dropped>(change.event)) {
     drop(change.scene);
   } else if (Ledger* ledger = find(change.scene)) {

@@ -75,9 +75,9 @@ class Ledger {
   static constexpr int kPartsMax = 65536;
   static constexpr int kWeightedPartsMax = 4096;
 
-  // The memory must outlive it. journal: null where nothing lasts.
+  // The memory must outlive it. journal: null where nothing lasts, and then `loss` says why.
   Ledger(std::string name, Created created, std::uint64_t incarnation, HistoryMemory& memory,
-         std::unique_ptr<Journal> journal);
+         std::unique_ptr<Journal> journal, std::string loss = {});
   // Of an earlier service.
   Ledger(std::string name, Lasting lasting, HistoryMemory& memory, std::unique_ptr<Journal> journal);
 

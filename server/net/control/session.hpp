@@ -111,8 +111,6 @@ class Session : public std::enable_shared_from_this<Session> {
   awaitable<void> count(Request& request);
   Result<scene::CountRecord> record_of(Request& request) const;
   awaitable<void> answer_from_ledger(Request& request);
-  // Replies when the answer is complete, which may be on another thread.
-  void send_later(const Request& request, Answer answer);
   // Waits until no change of the scene is under way. Errors: deadline_exceeded, unavailable.
   awaitable<Status> wait_settled(const Request& request, const std::string& scene);
   // A question about the positions of a when-needed scene waits for the next step, which then sends them, where others

@@ -46,20 +46,18 @@ awaitable<void> Session::answer_from_ledger(Request& request) {
   const scene::Ledger* ledger = status.ok() ? coordinator_->scenes().find(*scene) : nullptr;
   if (status.ok() && ledger == nullptr) status = coordinator_->unknown_scene(*scene);
   if (!status.ok()) co_return reply(request, api::failed(status));
-  send_later(request, api::answer_from(*ledger, request.json, coordinator_->options().ranks));
-}
-
-void Session::send_later(const Request& request, Answer answer) {
-  if (!answer.later) return reply(request, std::move(answer));
-  ++answering_;
-  api::complete(std::move(answer), [self = shared_from_this(), request](Answer whole) mutable {
-    auto shared = std::make_shared<Answer>(std::move(whole));
-    asio::post(self->coordinator_->context(), [self, request = std::move(request), shared] {
-      self->reply(request, std::move(*shared));
-      --self->answering_;
-      if (self->goodbye_due_) self->say_goodbye();
+  Answer answer = api::answer_from(*ledger, request.json, coordinator_->options().ranks);
+  if (!answer.later) co_return reply(request, std::move(answer));
+  // Read from a file by another thread; later requests wait for it, since answers come in the order of requests.
+  auto pending = std::make_shared<Pending>(coordinator_->context());
+  api::complete(std::move(answer), [pending, coordinator = coordinator_](Answer whole) {
+    auto shared = std::make_shared<Answer>(std::move(whole));  // the posted function may be copied
+    asio::post(coordinator->context(), [pending, shared] {
+      pending->answer = std::move(*shared);
+      pending->signal.cancel();
     });
   });
+  co_await reply_when_done(request, pending);
 }
 
 Status Session::check_positions(const std::string& scene) const {
