@@ -134,13 +134,7 @@ void refused(rcbd::Scene& scene, rcbd::StepOptions& options, const std::vector<d
         self.assertEqual(self.service.json("scene", "show", "jet")["step"], 99)
 
     def test_the_serial_example(self):
-        """Prints the same as the one in C."""
-        told = [run(program=os.path.join(BIN, name), endpoint=self.service.endpoint, check=True).stdout for name in ("serial_cpp", "serial_c")]
-        self.assertEqual(told[0], told[1])
-        self.assertIn("has reached the tolerance", told[0])
-        failed = run(program=os.path.join(BIN, "serial_cpp"), endpoint="unix:/nonexistent/rcbd.sock")
-        self.assertEqual(failed.returncode, 1)
-        self.assertIn("no service answers", failed.stderr)
+        self.serial_example(os.path.join(BIN, "serial_cpp"))
 
 
 if __name__ == "__main__":

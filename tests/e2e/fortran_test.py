@@ -91,13 +91,7 @@ class Fortran(FortranTest):
             self.assertEqual(len(done.stderr.splitlines()), 1, done.stderr)
 
     def test_the_serial_example(self):
-        """Prints the same as the one in C."""
-        told = [run(program=os.path.join(BIN, name), endpoint=self.service.endpoint, check=True).stdout for name in ("serial_fortran", "serial_c")]
-        self.assertEqual(told[0], told[1])
-        self.assertIn("has reached the tolerance", told[0])
-        failed = run(program=os.path.join(BIN, "serial_fortran"), endpoint="unix:/nonexistent/rcbd.sock")
-        self.assertEqual(failed.returncode, 1)
-        self.assertIn("no service answers", failed.stderr)
+        self.serial_example(os.path.join(BIN, "serial_fortran"))
 
     def test_places_of_components(self):
         kept = [line for line in text_of(ROOT, "tests/client/c/abi.txt").splitlines() if " " in line]

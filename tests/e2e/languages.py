@@ -85,3 +85,13 @@ class LanguageTest(ServiceTest):
                         self.assertEqual(told[-1][-1], last_hash)
                         # The last one is told to.
                         self.assertEqual(sent, STEPS if positions == "every-step" else new_cuts + (not expected[-1][repartitioned]))
+
+    def serial_example(self, *program):
+        """Prints the same as the one in C."""
+        told = [run(*words[1:], program=words[0], endpoint=self.service.endpoint, check=True).stdout
+                for words in (program, [os.path.join(BIN, "serial_c")])]
+        self.assertEqual(told[0], told[1])
+        self.assertIn("has reached the tolerance", told[0])
+        failed = run(*program[1:], program=program[0], endpoint="unix:/nonexistent/rcbd.sock")
+        self.assertEqual(failed.returncode, 1)
+        self.assertIn("no service answers", failed.stderr)

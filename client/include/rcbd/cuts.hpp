@@ -135,6 +135,31 @@ struct Narrowest {
   double width = 0;
 };
 
+namespace detail {
+
+// For rcbd.h; they refer to the arrays and the box that are given.
+inline rcbd_near near_of(const Near& near) {
+  rcbd_near to = RCBD_NEAR;
+  to.width = near.width;
+  to.lo = near.periodic.lo.data();
+  to.hi = near.periodic.hi.data();
+  to.norm = static_cast<std::int32_t>(near.norm);
+  return to;
+}
+inline rcbd_ask_options ask_of(const Positions& positions, const AskOptions& options) {
+  const std::int64_t count = positions.get()->count;
+  rcbd_ask_options to = RCBD_ASK_OPTIONS;
+  to.ids = column(options.ids, count, "ids");
+  to.last_part = column(options.last_part, count, "last parts");
+  to.widths = column(options.widths, count, "widths");
+  to.entries_max = options.entries_max;
+  to.seats = options.seats;
+  to.threads = options.threads;
+  return to;
+}
+
+}  // namespace detail
+
 // The cuts after a step: a value that does not change, and asks the service nothing.
 class Cuts : public Handle<rcbd_cuts> {
  public:
@@ -164,13 +189,13 @@ class Cuts : public Handle<rcbd_cuts> {
   }
   // The same, into an array [count].
   void owner(const Positions& positions, std::int32_t* part, const AskOptions& options = {}) const {
-    const rcbd_ask_options ask = ask_of(positions, options);
+    const rcbd_ask_options ask = detail::ask_of(positions, options);
     check(rcbd_cuts_owner(get(), positions.get(), &ask, part));
   }
   // A list for each part (or seat): the rows that it needs of these.
   Lists halo(const Positions& positions, const Near& near, const AskOptions& options = {}) const {
-    const rcbd_ask_options ask = ask_of(positions, options);
-    const rcbd_near distance = near_of(near);
+    const rcbd_ask_options ask = detail::ask_of(positions, options);
+    const rcbd_near distance = detail::near_of(near);
     return ask_lists([&](rcbd_lists** to) { return rcbd_cuts_halo(get(), positions.get(), &distance, &ask, to); });
   }
   template <typename Number>  // so that {0.1} is a Near still
@@ -179,7 +204,7 @@ class Cuts : public Handle<rcbd_cuts> {
   }
   // One list: the parts within the width.
   Lists neighbours(int part, const Near& near) const {
-    const rcbd_near distance = near_of(near);
+    const rcbd_near distance = detail::near_of(near);
     return ask_lists([&](rcbd_lists** to) { return rcbd_cuts_neighbours(get(), part, &distance, to); });
   }
   template <typename Number>
@@ -189,12 +214,12 @@ class Cuts : public Handle<rcbd_cuts> {
   // One list: the parts that touch [lo, hi].
   Lists box(const Point& lo, const Point& hi, const Box& periodic = {}) const {
     const Near near{0, periodic};
-    const rcbd_near distance = near_of(near);
+    const rcbd_near distance = detail::near_of(near);
     return ask_lists([&](rcbd_lists** to) { return rcbd_cuts_box(get(), lo.data(), hi.data(), &distance, to); });
   }
   Narrowest narrowest(const Box& periodic = {}) const {
     const Near near{0, periodic};
-    const rcbd_near distance = near_of(near);
+    const rcbd_near distance = detail::near_of(near);
     std::int32_t part = -1, axis = -1;
     double width = 0;
     check(rcbd_cuts_narrowest(get(), &distance, &part, &axis, &width));
@@ -213,25 +238,6 @@ class Cuts : public Handle<rcbd_cuts> {
     rcbd_lists* lists = nullptr;
     check(ask(&lists));
     return Lists(lists, dims_of_shifts);
-  }
-  static rcbd_near near_of(const Near& near) {
-    rcbd_near to = RCBD_NEAR;
-    to.width = near.width;
-    to.lo = near.periodic.lo.data();
-    to.hi = near.periodic.hi.data();
-    to.norm = static_cast<std::int32_t>(near.norm);
-    return to;
-  }
-  static rcbd_ask_options ask_of(const Positions& positions, const AskOptions& options) {
-    const std::int64_t count = positions.get()->count;
-    rcbd_ask_options to = RCBD_ASK_OPTIONS;
-    to.ids = detail::column(options.ids, count, "ids");
-    to.last_part = detail::column(options.last_part, count, "last parts");
-    to.widths = detail::column(options.widths, count, "widths");
-    to.entries_max = options.entries_max;
-    to.seats = options.seats;
-    to.threads = options.threads;
-    return to;
   }
 };
 

@@ -199,12 +199,8 @@ class Halo {
   // The same with cuts that are there.
   Halo(MPI_Comm comm, const Cuts& cuts, const Positions& positions, const Near& near, const AskOptions& options = {})
       : halo_(nullptr, rcbd_mpi_halo_free) {
-    const rcbd_ask_options ask = together(comm, [&] { return ask_of(positions, options); });
-    rcbd_near distance = RCBD_NEAR;
-    distance.width = near.width;
-    distance.lo = near.periodic.lo.data();
-    distance.hi = near.periodic.hi.data();
-    distance.norm = static_cast<std::int32_t>(near.norm);
+    const rcbd_ask_options ask = together(comm, [&] { return rcbd::detail::ask_of(positions, options); });
+    const rcbd_near distance = rcbd::detail::near_of(near);
     rcbd_mpi_halo* made = nullptr;
     check(rcbd_mpi_halo_new(comm, cuts.get(), positions.get(), &distance, &ask, &made));
     halo_.reset(made);
@@ -232,15 +228,6 @@ class Halo {
     (void)detail::Each{(fields.resize(rows() + ghosts()), 0)...};
     const rcbd_mpi_field raw[] = {fields.raw()...};
     check(rcbd_mpi_forward(halo_.get(), halo_->rows, raw, sizeof...(fields)));
-  }
-  static rcbd_ask_options ask_of(const Positions& positions, const AskOptions& options) {
-    const std::int64_t count = positions.get()->count;
-    rcbd_ask_options to = RCBD_ASK_OPTIONS;
-    to.ids = rcbd::detail::column(options.ids, count, "ids");
-    to.widths = rcbd::detail::column(options.widths, count, "widths");
-    to.entries_max = options.entries_max;
-    to.threads = options.threads;
-    return to;
   }
 
   std::unique_ptr<rcbd_mpi_halo, void (*)(rcbd_mpi_halo*)> halo_;
