@@ -167,6 +167,20 @@ class Protocol(Refusals, ServiceTest):
         with self.client() as client:
             client.push("lies", 1, points)
 
+    def test_answers_come_in_the_order_of_requests(self):
+        """Also after a history that is read from files, which takes longer than what is asked next."""
+        with Service(1, options=("--keep-reports", 1)) as service, Client(service.endpoint[5:]) as client:
+            client.ask("scene.create", scene="order", parts=2)
+            for step in range(20):
+                client.push("order", step, np.random.default_rng(step).random((10, 3)))
+            asked = []
+            for _ in range(50):
+                for command in ("history", "error"):
+                    asked.append(client.number + 1)
+                    client.send({"command": command, "scene": "order"})
+            answered = [client.receive()[1] for _ in asked]
+        self.assertEqual(answered, asked)
+
     def test_goodbye(self):
         client = self.client()
         client.socket.sendall(frame(GOODBYE, 0, {}))
