@@ -21,6 +21,11 @@ find_path(RCB_XXHASH_INCLUDE xxhash.h REQUIRED)
 add_library(rcb_xxhash INTERFACE)
 target_include_directories(rcb_xxhash SYSTEM INTERFACE "${RCB_XXHASH_INCLUDE}")
 
+# Highway's headers too (common/base/highway.hpp says how).
+find_path(RCB_HIGHWAY_INCLUDE hwy/highway.h REQUIRED)
+add_library(rcb_highway INTERFACE)
+target_include_directories(rcb_highway SYSTEM INTERFACE "${RCB_HIGHWAY_INCLUDE}")
+
 add_library(rcb_boost INTERFACE)
 target_include_directories(rcb_boost SYSTEM INTERFACE ${Boost_INCLUDE_DIRS})
 

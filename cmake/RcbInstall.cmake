@@ -51,7 +51,7 @@ install(DIRECTORY client/examples DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONEN
 # Where what is installed is passed on: where it comes from, and the licences of what is compiled in.
 if(RCB_ARCHIVE OR RCB_DEBIAN)
   file(READ "${from}/copyright" copyright)
-  set(compiled_in libfmt-dev libxxhash-dev nlohmann-json3-dev)
+  set(compiled_in libfmt-dev libhwy-dev libxxhash-dev nlohmann-json3-dev)
   if(RCB_SERVICE)
     list(APPEND compiled_in libcli11-dev libfast-float-dev)
   endif()

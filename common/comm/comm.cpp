@@ -1,6 +1,8 @@
 // The collectives that are built on Comm's methods.
 #include "common/comm/comm.hpp"
 
+#include <algorithm>
+
 #include "common/base/check.hpp"
 
 namespace rcb::comm {
@@ -8,6 +10,16 @@ namespace rcb::comm {
 void Comm::all_gather_few(std::span<const std::byte> local, Buffer<std::byte>& all) {
   std::vector<std::size_t> sizes;
   all_gather(local, all, sizes);
+}
+
+std::uint64_t all_min_in_messages(Comm& comm, std::span<std::uint64_t> values) {
+  std::uint64_t messages = 0;
+  for (; !values.empty(); ++messages) {
+    const std::size_t count = std::min(kMessageWordsMax, values.size());
+    comm.all_min(values.first(count));
+    values = values.subspan(count);
+  }
+  return messages;
 }
 
 void exchange_counts(Comm& comm, std::span<const std::uint64_t> to, std::span<std::uint64_t> from) {

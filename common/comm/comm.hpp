@@ -54,6 +54,13 @@ class Comm {
 
 // Collectives built on the methods above.
 
+// What is sent many at a time goes in messages of about this size at most, so that no buffer grows with the problem.
+inline constexpr std::size_t kMessageBytesMax = 32 * 1024;
+inline constexpr std::size_t kMessageWordsMax = kMessageBytesMax / sizeof(std::uint64_t);
+
+// Comm::all_min in such messages; returns their number. Collective.
+std::uint64_t all_min_in_messages(Comm& comm, std::span<std::uint64_t> values);
+
 // from[r] becomes what rank r has in to[this rank]. Collective.
 void exchange_counts(Comm& comm, std::span<const std::uint64_t> to, std::span<std::uint64_t> from);
 

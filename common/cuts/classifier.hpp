@@ -9,12 +9,13 @@
 #include <vector>
 
 #include "common/cuts/cut_tree.hpp"
+#include "common/cuts/kernels.hpp"
 
 namespace rcb::cuts {
 
-// Positions that are classified together, by axis: so few that they stay in the nearest cache.
+// Positions that are classified together, by axis.
 struct Batch {
-  static constexpr std::size_t kMost = 512;
+  static constexpr std::size_t kMost = kBatch;
   alignas(64) std::array<double, geometry::kDimsMax * kMost> x;
 
   double* axis(std::size_t a) { return x.data() + a * kMost; }
@@ -55,29 +56,18 @@ class Classifier {
         child;  // left, right; chosen by index, since a branch would be mispredicted half the time
   };
 
-  // The first levels as a heap: node k has the children 2k + 1 and 2k + 2.
-  struct Top {
-    static constexpr int kLevels = 3;
-    std::array<double, 7> value;
-    std::array<std::int32_t, 7> at;
-    alignas(32) std::array<std::int32_t, 8> label;  // of the eight nodes below
-  };
-
   std::int32_t label(const NodeRange& range) const { return range.leaf() ? inner_ + range.first : range.node; }
   void add(const NodeRange& range, int depth);
   // Sets out[i] to the label of the leaf that position i reaches.
   void descend(const Batch& batch, std::size_t count, std::int32_t* out, Ties& tied) const;
   void step(const Batch& batch, std::size_t from, std::size_t end, std::int32_t* out, Ties& tied) const;
-#if defined(__x86_64__)
-  static void descend_top(const Top& top, const Batch& batch, std::size_t end, std::int32_t* out, Ties& tied);
-#endif
 
   const CutTree& tree_;
   std::int32_t inner_;
   std::int32_t root_ = 0;
   int depth_ = 0;
   std::vector<Step> steps_;
-  Top top_{};
+  TopCuts top_{};
 };
 
 }  // namespace rcb::cuts

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <memory>
 #include <optional>
@@ -11,10 +10,10 @@
 
 #include <fmt/format.h>
 
-#include "common/base/cpu.hpp"
 #include "common/base/index.hpp"
 #include "common/cuts/calls.hpp"
 #include "common/cuts/id_sum.hpp"
+#include "common/cuts/kernels.hpp"
 #include "common/cuts/owner_pass.hpp"
 #include "common/particles/value_fault.hpp"
 
@@ -22,154 +21,6 @@ namespace rcb::cuts {
 namespace {
 
 constexpr std::int64_t kGreatestFinite = std::bit_cast<std::int64_t>(std::numeric_limits<double>::max());
-
-// Of at most Batch::kMost weights: each as an integer in the scale, and the range of all. The bits of doubles that are
-// not negative compare as the doubles do; those of negative ones are below 0, of infinity and NaN above all finite
-// ones.
-struct ScaledWeights {
-  using Halves = std::array<std::uint64_t, Batch::kMost>;
-  alignas(64) Halves low;
-  alignas(64) Halves high;
-  std::int64_t least;
-  std::int64_t most;
-  std::uint64_t as_zero;
-
-  u128 operator[](std::size_t i) const { return (u128{high[i]} << 64U) + low[i]; }
-  u128 sum(std::size_t first, std::size_t count) const {
-    std::uint64_t quarter = 0, half = 0, rest = 0;  // a load is below 2^127, so `rest` is whole
-    for (std::size_t i = first; i < first + count; ++i) {
-      quarter += low[i] & 0xFFFFFFFFU;
-      half += low[i] >> 32U;
-      rest += high[i];
-    }
-    return (u128{rest} << 64U) + (u128{half} << 32U) + quarter;
-  }
-};
-
-// As ExactScale does, by steps that compilers make vectors of.
-[[gnu::always_inline]] inline void scale_all(const double* weight, std::size_t count, std::int64_t scale,
-                                             ScaledWeights& to) {
-  std::int64_t least = std::numeric_limits<std::int64_t>::max();
-  std::int64_t most = std::numeric_limits<std::int64_t>::min();
-  std::uint64_t as_zero = 0;
-  for (std::size_t i = 0; i < count; ++i) {
-    const auto bits = std::bit_cast<std::int64_t>(weight[i]);
-    least = std::min(least, bits);
-    most = std::max(most, bits);
-    const auto exponent = static_cast<std::int64_t>((static_cast<std::uint64_t>(bits) >> 52U) & 0x7FFU);
-    const std::uint64_t significand = (static_cast<std::uint64_t>(bits) & 0xFFFFFFFFFFFFFU) |
-                                      static_cast<std::uint64_t>(std::min<std::int64_t>(exponent, 1)) << 52U;
-    const std::int64_t shift = std::max<std::int64_t>(exponent, 1) - 1075 + scale;
-    const std::uint64_t whole = significand >> std::clamp<std::int64_t>(-shift, 0, 63);
-    const auto up = static_cast<std::uint64_t>(std::max<std::int64_t>(shift, 0));
-    const std::uint64_t beyond = 0 - (up >> 6U);  // all ones from a shift of 64 on
-    const std::uint64_t shifted = whole << (up & 63U);
-    const std::uint64_t low = shifted & ~beyond;
-    const std::uint64_t high = (shifted & beyond) | (whole >> 1U >> (63U - (up & 63U)) & ~beyond);
-    as_zero += (significand != 0 ? 1U : 0U) & (whole == 0 ? 1U : 0U);
-    to.low[i] = low;
-    to.high[i] = high;
-  }
-  to.least = least;
-  to.most = most;
-  to.as_zero = as_zero;
-}
-
-#if defined(__x86_64__)
-[[gnu::target("avx2")]] void scale_all_avx2(const double* weight, std::size_t count, std::int64_t scale,
-                                            ScaledWeights& to) {
-  scale_all(weight, count, scale, to);
-}
-#endif
-
-void scale_weights(const double* weight, std::size_t count, std::int64_t scale, ScaledWeights& to) {
-#if defined(__x86_64__)
-  if (has_avx2()) return scale_all_avx2(weight, count, scale, to);
-#endif
-  scale_all(weight, count, scale, to);
-}
-
-// Sums weights of one part three times as fast, where each is 0 or so large that its last bit counts in the scale (that
-// is, within 2^55 of the greatest for a million particles). Each is split into three doubles of so few bits that 512 of
-// them are added without rounding: ExtractVector of Rump, Ogita, Oishi 2008, doi:10.1137/050645671.
-struct QuickSum {
-  double upper, middle, lower;  // of the weights; NaN if one of them is not finite
-  double least, most;
-  bool small;  // there is one that is rounded in the scale, and the sum is of no use
-
-  static constexpr int kMiddle = 35, kUpper = 75;  // binades above the last place of the scale where the splits are
-  static constexpr int kScaleLeast = -890;         // so that no sum overflows
-
-  bool usable(int scale) const {
-    return !small && least >= 0 && std::isfinite(upper + middle + lower) && most < std::ldexp(1.0, 126 - scale);
-  }
-  u128 value(int scale) const {
-    const auto whole = [scale](double sum, int place) {
-      return static_cast<u128>(static_cast<std::int64_t>(std::ldexp(sum, scale - place)))
-             << static_cast<unsigned>(place);
-    };
-    return whole(upper, kUpper) + whole(middle, kMiddle) + whole(lower, 0);  // mod 2^128: some are negative
-  }
-};
-
-struct TwoLanes {
-  using Lanes = double __attribute__((vector_size(16)));
-};
-struct FourLanes {
-  using Lanes = double __attribute__((vector_size(32)));
-};
-constexpr std::size_t kLanesMost = 4;
-
-// count: a multiple of the lanes, at most Batch::kMost.
-template <typename Width>
-[[gnu::always_inline]] inline void sum_quickly(const double* weight, std::size_t count, int scale, QuickSum& to) {
-  using Lanes = typename Width::Lanes;
-  constexpr std::size_t kLanes = sizeof(Lanes) / sizeof(double);
-  const double at_upper = std::ldexp(1.5, QuickSum::kUpper + 52 - scale);
-  const double at_middle = std::ldexp(1.5, QuickSum::kMiddle + 52 - scale);
-  const Lanes limit = Lanes{} + std::ldexp(1.0, 52 - scale);
-  const Lanes zero{};
-  Lanes upper{}, middle{}, lower{}, most{};
-  Lanes least = zero + std::numeric_limits<double>::infinity();
-  auto small = limit > limit;
-  for (std::size_t i = 0; i < count; i += kLanes) {
-    Lanes own;
-    std::memcpy(&own, weight + i, sizeof own);
-    least = own < least ? own : least;
-    most = own > most ? own : most;
-    small |= (own < limit) & (own > zero);
-    const Lanes high = (own + at_upper) - at_upper;
-    const Lanes rest = own - high;
-    const Lanes mid = (rest + at_middle) - at_middle;
-    upper += high;
-    middle += mid;
-    lower += rest - mid;
-  }
-  to = {0, 0, 0, least[0], most[0], false};
-  for (std::size_t k = 0; k < kLanes; ++k) {
-    to.upper += upper[k];
-    to.middle += middle[k];
-    to.lower += lower[k];
-    to.least = std::min(to.least, least[k]);
-    to.most = std::max(to.most, most[k]);
-    to.small = to.small || small[k] != 0;
-  }
-}
-
-#if defined(__x86_64__)
-[[gnu::target("avx2")]] void sum_quickly_avx2(const double* weight, std::size_t count, int scale, QuickSum& to) {
-  sum_quickly<FourLanes>(weight, count, scale, to);
-}
-#endif
-
-QuickSum quick_sum(const double* weight, std::size_t count, int scale) {
-  QuickSum sum;
-#if defined(__x86_64__)
-  if (has_avx2()) return sum_quickly_avx2(weight, count, scale, sum), sum;
-#endif
-  sum_quickly<TwoLanes>(weight, count, scale, sum);
-  return sum;
-}
 
 std::uint64_t differing(const std::int32_t* a, const std::int32_t* b, std::size_t count) {
   std::int32_t found = 0;
@@ -253,11 +104,11 @@ void CountPass::add_parts(std::size_t first, std::size_t count) {
 }
 
 u128 CountPass::load_of(std::size_t first, std::size_t count) {
-  std::size_t done = count - count % kLanesMost;
+  std::size_t done = count - count % QuickSum::kLanesMost;
   u128 load = 0;
   const QuickSum quick = options_.scale < QuickSum::kScaleLeast
                              ? QuickSum{.small = true}
-                             : quick_sum(&options_.weights[first], done, options_.scale);
+                             : kernels().sum(&options_.weights[first], done, options_.scale);
   if (quick.usable(options_.scale)) {
     load = quick.value(options_.scale);
     least_ = std::min(least_, quick.least);
@@ -271,7 +122,7 @@ u128 CountPass::load_of(std::size_t first, std::size_t count) {
 }
 
 void CountPass::scale(std::size_t first, std::size_t count) {
-  scale_weights(&options_.weights[first], count, options_.scale, scaled_);
+  kernels().scale(&options_.weights[first], count, options_.scale, scaled_);
   sums_.weights_as_zero += scaled_.as_zero;
   const std::int64_t least = std::max<std::int64_t>(scaled_.least, 0);  // -0.0 is 0
   const std::int64_t most = std::max<std::int64_t>(scaled_.most, 0);

@@ -4,15 +4,11 @@
 #include <bit>
 #include <cmath>
 
-#if defined(__x86_64__)
-#include <immintrin.h>
-#endif
-
 #include <fmt/format.h>
 
 #include "common/base/axis_names.hpp"
-#include "common/base/cpu.hpp"
 #include "common/base/index.hpp"
+#include "common/cuts/kernels.hpp"
 
 namespace rcb::cuts {
 namespace {
@@ -35,86 +31,12 @@ void copy_axes(const std::array<const T*, 3>& axis, std::size_t dims, std::size_
       copy_strided(axis[a] + begin * stride, stride, count, to.axis(a));
 }
 
-// Whether rows of three coordinates that follow one another all lie strictly inside the box.
 template <typename T>
-[[gnu::always_inline]] inline bool all_inside(const T* rows, std::size_t count, const geometry::Box& box) {
-  constexpr std::size_t kRows = 8;  // together, so that the compiler makes vectors of them
-  std::array<double, 3 * kRows> lo, hi;
-  for (std::size_t i = 0; i < lo.size(); ++i) {
-    lo[i] = box.lo[i % 3];
-    hi[i] = box.hi[i % 3];
-  }
-  std::size_t i = 0;
-  for (; i + kRows <= count; i += kRows) {
-    std::int64_t outside = 0;
-    for (std::size_t k = 0; k < lo.size(); ++k) {
-      const double x = rows[3 * i + k];
-      outside += x > lo[k] ? 0 : 1;
-      outside += x < hi[k] ? 0 : 1;
-    }
-    if (outside != 0) return false;
-  }
-  for (i *= 3; i < 3 * count; ++i)
-    if (!(rows[i] > lo[i % 3] && rows[i] < hi[i % 3])) return false;
-  return true;
-}
-
-// A bit for each of at most 64 rows that is not strictly inside the box of its own part.
-template <typename T>
-std::uint64_t outside_rows(const T* rows, std::size_t from, std::size_t count, const geometry::Box* boxes,
-                           const std::int32_t* part) {
-  std::uint64_t bits = 0;
-  for (std::size_t i = from; i < count; ++i) {
-    const geometry::Box& box = boxes[part[i]];
-    bool inside = true;
-    for (std::size_t a = 0; a < 3; ++a) inside = inside & (rows[3 * i + a] > box.lo[a]) & (rows[3 * i + a] < box.hi[a]);
-    bits |= static_cast<std::uint64_t>(!inside) << i;
-  }
-  return bits;
-}
-
-#if defined(__x86_64__)
-[[gnu::target("avx2")]] __m256d load_four(const double* x) { return _mm256_loadu_pd(x); }
-[[gnu::target("avx2")]] __m256d load_four(const float* x) { return _mm256_cvtps_pd(_mm_loadu_ps(x)); }
-
-// A row at a time: of the four values that a load takes, three count. So the last row is left to others.
-template <typename T>
-[[gnu::target("avx2")]] std::uint64_t outside_rows_avx2(const T* rows, std::size_t count, const geometry::Box* boxes,
-                                                        const std::int32_t* part) {
-  static_assert(sizeof(geometry::Box) == 6 * sizeof(double), "lo, then hi");
-  std::uint64_t bits = 0;
-  std::size_t i = 0;
-  for (; i + 1 < count; ++i) {
-    const double* const lo = boxes[part[i]].lo.data();
-    const __m256d upper = _mm256_permute4x64_pd(_mm256_loadu_pd(lo + 2), 0b11'11'10'01);
-    const __m256d x = load_four(rows + 3 * i);
-    const __m256d inside =
-        _mm256_and_pd(_mm256_cmp_pd(x, _mm256_loadu_pd(lo), _CMP_GT_OQ), _mm256_cmp_pd(x, upper, _CMP_LT_OQ));
-    bits |= static_cast<std::uint64_t>((_mm256_movemask_pd(inside) & 7) != 7) << i;
-  }
-  return bits | outside_rows(rows, i, count, boxes, part);
-}
-
-template <typename T>
-[[gnu::target("avx2")]] bool all_inside_avx2(const T* rows, std::size_t count, const geometry::Box& box) {
-  return all_inside(rows, count, box);
-}
-#endif
-
-template <typename T>
-bool rows_inside(const T* rows, std::size_t count, const geometry::Box& box) {
-#if defined(__x86_64__)
-  if (has_avx2()) return all_inside_avx2(rows, count, box);
-#endif
-  return all_inside(rows, count, box);
-}
-
-template <typename T>
-std::uint64_t rows_outside(const T* rows, std::size_t count, const geometry::Box* boxes, const std::int32_t* part) {
-#if defined(__x86_64__)
-  if (has_avx2()) return outside_rows_avx2(rows, count, boxes, part);
-#endif
-  return outside_rows(rows, 0, count, boxes, part);
+const Kernels::Rows<T>& row_kernels() {
+  if constexpr (std::is_same_v<T, float>)
+    return kernels().rows_f4;
+  else
+    return kernels().rows;
 }
 
 }  // namespace
@@ -140,15 +62,15 @@ bool OwnerPass::read_rows(std::size_t begin, std::size_t count, std::int32_t* pa
 template <typename T>
 bool OwnerPass::read_triples(const T* rows, std::size_t begin, std::size_t count, std::int32_t* part) {
   const std::int32_t expected = expect(begin, count, part);
-  if (expected >= 0 && rows_inside(rows, count, tables_.boxes[at(expected)])) {
+  if (expected >= 0 && row_kernels<T>().all_inside(rows, count, tables_.boxes[at(expected)])) {
     uniform_ = before_ = expected;
     return true;
   }
   Bits bits{};
   std::size_t undecided = 0;
   for (std::size_t w = 0; w * kWord < count; ++w) {
-    bits[w] =
-        rows_outside(rows + 3 * w * kWord, std::min(kWord, count - w * kWord), tables_.boxes.data(), part + w * kWord);
+    bits[w] = row_kernels<T>().outside_own(rows + 3 * w * kWord, std::min(kWord, count - w * kWord),
+                                           tables_.boxes.data(), part + w * kWord);
     undecided += static_cast<std::size_t>(std::popcount(bits[w]));
   }
   if (undecided > kFew || !decide(begin, bits, part)) return false;
@@ -199,7 +121,7 @@ OwnerPass::Bits OwnerPass::outside(std::size_t count, const std::int32_t* part) 
     const std::size_t size = std::min(kWord, count - w * kWord);
     const std::int32_t* const own = part + w * kWord;
     const bool one = uniform_ >= 0 || all_equal(own, size);
-    if (one) bits[w] = outside_of(x(w * kWord), size, tables_.boxes[at(own[0])]);
+    if (one) bits[w] = kernels().outside(x(w * kWord), size, tables_.boxes[at(own[0])]);
     for (std::size_t a = 0; !one && a < at(positions_.dims); ++a)
       bits[w] |= tables_.regions.outside(a, {x_[a] + w * kWord, size}, own);
   }
@@ -208,7 +130,8 @@ OwnerPass::Bits OwnerPass::outside(std::size_t count, const std::int32_t* part) 
 
 Status OwnerPass::check_finite(std::size_t begin, std::size_t count) const {
   for (std::size_t w = 0; w * kWord < count; ++w) {
-    const std::uint64_t bad = outside_of(x(w * kWord), std::min(kWord, count - w * kWord), geometry::Box::unbounded());
+    const std::uint64_t bad =
+        kernels().outside(x(w * kWord), std::min(kWord, count - w * kWord), geometry::Box::unbounded());
     if (bad == 0) continue;
     const std::size_t i = w * kWord + at(std::countr_zero(bad));
     std::size_t a = 0;

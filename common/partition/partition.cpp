@@ -1,12 +1,12 @@
-// The entry points: they check the options. The search level by level is in search/build_tree.cpp; large sets begin
-// with a sample.
+// The entry point: it checks the options and makes the trees that need no search; search_all.cpp makes the others.
 #include "common/partition/partition.hpp"
 
 #include <algorithm>
 #include <cmath>
 
-#include "common/partition/balance/bounding_box.hpp"
-#include "common/partition/search/build_tree.hpp"
+#include "common/partition/balance/bounds.hpp"
+#include "common/partition/search/tree_search.hpp"
+#include "common/partition/search_all.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -53,25 +53,23 @@ void halve(CutTree& tree, const NodeRange& range, const Point& lo, const Point& 
   halve(tree, range.right(), right_lo, hi);
 }
 
-PartitionResult equal_boxes(comm::Comm& comm, const particles::ParticleView& particles,
-                            const PartitionOptions& options) {
+Status given_up() { return {Code::aborted, "the partition was given up"}; }
+
+Result<PartitionResult> equal_boxes(comm::Comm& comm, const particles::ParticleView& particles,
+                                    const PartitionOptions& options, const comm::GoOn& go_on) {
   PartitionResult result;
   result.tree = uncut_tree(options, particles.dims);
   const geometry::Box box = bounding_box(comm, particles);
-  ++result.reductions;
+  ++result.cost.reductions;
   if (box.empty(particles.dims)) {
     for (Cut& cut : result.tree.cuts) cut.right_empty = true;
   } else {
     halve(result.tree, result.tree.root(), box.lo, box.hi);
   }
+  if (go_on && !go_on()) return given_up();
   result.part.resize(particles.count);
   result.tree.classify(particles, result.part.span());
   return result;
-}
-
-Result<PartitionResult> build(TreeBuilder builder, const comm::GoOn& go_on) {
-  if (auto result = builder.build(go_on)) return *std::move(result);
-  return Status(Code::aborted, "the partition was given up");
 }
 
 // Where all particles lie in one place, ids alone divide them.
@@ -83,10 +81,11 @@ Result<PartitionResult> file_order(comm::Comm& comm, const particles::ParticleVi
   in_one_place.dims = 1;
   in_one_place.position = {place.data()};
   in_one_place.weight = nullptr;
-  const PartitionOptions by_id{.parts = options.parts, .part_sizes = options.part_sizes, .limits = options.limits};
-  auto result = build({comm, in_one_place, by_id}, go_on);
-  if (result.ok()) result->tree = CutTree{};
-  return result;
+  const PartitionOptions by_id{.parts = options.parts, .part_sizes = options.part_sizes, .tuning = options.tuning};
+  auto result = search_all(comm, in_one_place, by_id, go_on);
+  if (!result) return given_up();
+  result->tree = CutTree{};
+  return *std::move(result);
 }
 
 }  // namespace
@@ -94,15 +93,10 @@ Result<PartitionResult> file_order(comm::Comm& comm, const particles::ParticleVi
 Result<PartitionResult> partition(comm::Comm& comm, const particles::ParticleView& particles,
                                   const PartitionOptions& options, const comm::GoOn& go_on) {
   if (Status status = check(options, particles.dims); !status.ok()) return status;
-  if (options.method == Method::equal_boxes) return equal_boxes(comm, particles, options);
+  if (options.method == Method::equal_boxes) return equal_boxes(comm, particles, options, go_on);
   if (options.method == Method::file_order) return file_order(comm, particles, options, go_on);
-  std::uint64_t reductions = 0;
-  const std::optional<LargeSetSample> large = sample_large_set(comm, particles, options, reductions);
-  Start start;
-  if (large) start = {.sample = SortedSample(large->sample), .stride = large->stride};
-  auto result = build({comm, particles, options, std::move(start)}, go_on);
-  if (result.ok()) result->reductions += reductions;
-  return result;
+  if (auto result = search_all(comm, particles, options, go_on)) return *std::move(result);
+  return given_up();
 }
 
 }  // namespace rcb::partition

@@ -6,7 +6,7 @@
 
 #include "common/base/status.hpp"
 #include "common/comm/comm.hpp"
-#include "common/partition/search/request.hpp"
+#include "common/partition/rules/request.hpp"
 
 namespace rcb::partition {
 

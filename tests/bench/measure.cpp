@@ -81,12 +81,12 @@ void judge(comm::Comm& comm, const Problem& problem, Contender& contender, Measu
   out.imbalance = std::max(out.imbalance, loads.imbalance);
   if (out.hash && out.hash != answer.hash) out.failure = "the hash changed from one repeat to the next";
   out.hash = answer.hash;
-  out.rounds = answer.rounds;
-  out.reductions = answer.reductions;
-  if (!answer.traffic) return;
-  std::array<std::uint64_t, 2> traffic{answer.traffic->reads, answer.traffic->bytes};
-  comm.all_sum(traffic);
-  out.traffic = partition::Traffic{traffic[0], traffic[1]};
+  out.cost = answer.cost;
+  if (!answer.cost) return;
+  std::array<std::uint64_t, 2> passes{answer.cost->reads, answer.cost->bytes};
+  comm.all_sum(passes);
+  out.cost->reads = passes[0];
+  out.cost->bytes = passes[1];
 }
 
 // Growth of the resident memory during one run, from a heap that keeps nothing. Collective.

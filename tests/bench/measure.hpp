@@ -26,9 +26,7 @@ struct Measurement {
   double imbalance = 1;
   std::uint64_t empty_parts = 0;
   std::optional<std::uint64_t> hash;
-  std::optional<std::uint64_t> rounds;
-  std::optional<std::uint64_t> reductions;
-  std::optional<partition::Traffic> traffic;  // of all ranks together
+  std::optional<partition::SearchCost> cost;  // of all ranks together
   std::optional<double> bytes_per_particle;   // growth of the resident memory at its peak, all ranks together, over n
   std::string failure;                        // not empty: nothing above counts
 };

@@ -80,7 +80,7 @@ class Static(unittest.TestCase):
     def test_what_passes_move_is_counted(self):
         for row in self.ours():
             self.assertGreaterEqual(row["reads"], 2)  # bounds and integers; all sets here are below the limit of buckets
-            self.assertGreaterEqual(row["bytes_moved"], (16 + 8 * row["dims"]) * 2 + 20)
+            self.assertGreaterEqual(row["bytes_moved"], 8 * row["dims"] + 16 + 4)
             self.assertLess(row["bytes_moved"], 2000)
         for row in self.document["rows"]:
             if row["tool"] != "rcbd":

@@ -52,11 +52,13 @@ Json make_rows_json(const Cell& cell, int dims, int ranks, const std::vector<Mea
     }
     row["ratio"] = ratio_of;
     if (m.hash) row["hash"] = fmt::format("{:016x}", *m.hash);
-    if (m.rounds) row["rounds"] = *m.rounds;
-    if (m.reductions) row["reductions"] = *m.reductions;
-    if (m.traffic && cell.n > 0) {
-      row["reads"] = static_cast<double>(m.traffic->reads) / static_cast<double>(cell.n);
-      row["bytes_moved"] = static_cast<double>(m.traffic->bytes) / static_cast<double>(cell.n);
+    if (m.cost) {
+      row["rounds"] = m.cost->rounds;
+      row["reductions"] = m.cost->reductions;
+    }
+    if (m.cost && cell.n > 0) {
+      row["reads"] = static_cast<double>(m.cost->reads) / static_cast<double>(cell.n);
+      row["bytes_moved"] = static_cast<double>(m.cost->bytes) / static_cast<double>(cell.n);
     }
     if (m.bytes_per_particle) row["bytes_per_particle"] = *m.bytes_per_particle;
     rows.push_back(std::move(row));

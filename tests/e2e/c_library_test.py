@@ -74,6 +74,9 @@ class CLibrary(LanguageTest):
                                       "ld-linux-aarch64.so.1"})
         self.assertRegex(dynamic, r"SONAME.*\[librcbd\.so\.1\]")
         self.assertRegex(dynamic, "FLAGS_1.*NODELETE")
+        service = run("-d", os.path.join(BIN, "rcbd"), program="/usr/bin/readelf", check=True).stdout
+        self.assertIn("libmpi", service)
+        self.assertNotIn("libhwy", service)  # whose headers alone are used
 
     def test_openssl_is_opened_when_tcp_is_used(self):
         """Where it isn't there, or is another library of that name, Unix sockets do without, and TCP says what is missing."""

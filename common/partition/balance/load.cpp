@@ -2,7 +2,6 @@
 #include "common/partition/balance/load.hpp"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <numeric>
 
@@ -10,7 +9,7 @@
 
 #include "common/base/count_groups.hpp"
 #include "common/comm/wide_sum.hpp"
-#include "common/geometry/box.hpp"
+#include "common/partition/balance/bounds.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -18,7 +17,7 @@ namespace {
 using Wide = boost::multiprecision::uint512_t;
 
 // numerator / denominator * 2^exponent, rounded once (ties to even), subnormal results too. Both below 2^256.
-double rounded(Wide numerator, Wide denominator, int exponent) {
+double rounded(Wide numerator, Wide denominator, int exponent = 0) {
   if (numerator == 0) return 0;
   int magnitude =
       static_cast<int>(msb(numerator)) - static_cast<int>(msb(denominator));  // of the quotient, or one more
@@ -39,56 +38,48 @@ double rounded(Wide numerator, Wide denominator, int exponent) {
   return std::ldexp(static_cast<double>(significand), exponent - shift);
 }
 
-bool small(u128 value) { return value < (u128{1} << 53U); }
+// Likewise where a double holds both: one rounding.
+double rounded(u128 numerator, u128 denominator) {
+  return static_cast<double>(numerator) / static_cast<double>(denominator);
+}
 
 // True if a double holds a * b and every smaller whole number exactly.
 bool fit_together(u128 a, u128 b) {
   constexpr u128 half = u128{1} << 64U;
-  return a < half && b < half && small(a * b);
+  return a < half && b < half && a * b < (u128{1} << 53U);
 }
 
-// a * b / (c * d) * 2^exponent, rounded once; c and d > 0.
-double quotient_of_products(u128 a, u128 b, u128 c, u128 d, int exponent) {
-  if (exponent == 0 && fit_together(a, b) && fit_together(c, d))
-    return static_cast<double>(a * b) / static_cast<double>(c * d);  // both exact: one rounding
-  return rounded(Wide(a) * b, Wide(c) * d, exponent);
+// a * b / c * 2^exponent, rounded once; c > 0.
+double quotient_of_product(u128 a, u128 b, u128 c, int exponent) {
+  if (exponent == 0 && fit_together(a, b) && fit_together(c, 1)) return rounded(a * b, c);
+  return rounded(Wide(a) * b, Wide(c), exponent);
 }
 
-// abs(load * all - total * size) / (total * size), rounded once: the relative error of a part that has this load out of
-// `total` and this size out of `all` sizes. total and size > 0.
-double relative_error(u128 load, u128 total, u128 size, u128 all) {
-  if (fit_together(load, all) && fit_together(total, size)) {
-    const u128 has = load * all;
-    const u128 should = total * size;
-    return static_cast<double>(has > should ? has - should : should - has) / static_cast<double>(should);
-  }
-  const Wide has = Wide(load) * all;
-  const Wide should = Wide(total) * size;
-  return rounded(has > should ? has - should : should - has, should, 0);
-}
-
-// Fills in what follows from counts and loads: error, imbalance, targets.
-void finish(LoadSummary& summary, std::span<const double> sizes) {
-  const int parts = static_cast<int>(summary.loads.size());
-  const std::vector<u128> shares = exact_sizes(sizes, parts);
+// With what follows from counts and loads: error, imbalance, targets.
+LoadSummary finished(LoadSummary summary, std::span<const double> sizes) {
+  const std::vector<u128> shares = exact_sizes(sizes, static_cast<int>(summary.loads.size()));
   const u128 all = std::accumulate(shares.begin(), shares.end(), u128{0});
   const u128 total = std::accumulate(summary.loads.begin(), summary.loads.end(), u128{0});
-  const auto count = shares.size();
-  summary.part_errors.assign(count, 0.0);
-  summary.targets.assign(count, 0.0);
-  summary.load_values.assign(count, 0.0);
+  for (auto* of_parts : {&summary.part_errors, &summary.targets, &summary.load_values})
+    of_parts->assign(shares.size(), 0.0);
   summary.error = 0;
-  summary.imbalance = 1;
-  if (total == 0) return;
-  summary.imbalance = 0;
-  for (std::size_t p = 0; p < count; ++p) {
-    summary.part_errors[p] = relative_error(summary.loads[p], total, shares[p], all);
-    summary.imbalance = std::max(summary.imbalance, quotient_of_products(summary.loads[p], all, total, shares[p], 0));
-    // Rounding is monotonic: the maximum of the rounded errors is the maximum error, rounded.
-    summary.error = std::max(summary.error, summary.part_errors[p]);
-    summary.targets[p] = quotient_of_products(total, shares[p], all, 1, -summary.scale_exponent);
-    summary.load_values[p] = quotient_of_products(summary.loads[p], 1, 1, 1, -summary.scale_exponent);
+  summary.imbalance = total == 0 ? 1 : 0;
+  for (std::size_t p = 0; p < shares.size() && total > 0; ++p) {
+    const auto compare = [&]<typename T>(const T& has, const T& should) {
+      summary.part_errors[p] = rounded(has > should ? T(has - should) : T(should - has), should);
+      // Rounding is monotonic: the maximum of the rounded errors is the maximum error, rounded.
+      summary.error = std::max(summary.error, summary.part_errors[p]);
+      summary.imbalance = std::max(summary.imbalance, rounded(has, should));
+    };
+    const u128 load = summary.loads[p];
+    if (fit_together(load, all) && fit_together(total, shares[p]))
+      compare(load * all, total * shares[p]);
+    else
+      compare(Wide(Wide(load) * all), Wide(Wide(total) * shares[p]));
+    summary.targets[p] = quotient_of_product(total, shares[p], all, -summary.scale_exponent);
+    summary.load_values[p] = quotient_of_product(load, 1, 1, -summary.scale_exponent);
   }
+  return summary;
 }
 
 }  // namespace
@@ -122,20 +113,17 @@ LoadSummary summarise_counts(std::vector<std::uint64_t> counts, std::span<const 
   LoadSummary summary;
   summary.loads.assign(counts.begin(), counts.end());
   summary.counts = std::move(counts);
-  finish(summary, sizes);
-  return summary;
+  return finished(std::move(summary), sizes);
 }
 
 LoadSummary summarise_weighted(std::vector<std::uint64_t> counts, std::vector<u128> loads, int scale_exponent,
                                std::uint64_t weights_as_zero, std::span<const double> sizes) {
-  LoadSummary summary;
-  summary.counts = std::move(counts);
-  summary.loads = std::move(loads);
-  summary.weighted = true;
-  summary.scale_exponent = scale_exponent;
-  summary.weights_as_zero = weights_as_zero;
-  finish(summary, sizes);
-  return summary;
+  return finished({.counts = std::move(counts),
+                   .loads = std::move(loads),
+                   .weighted = true,
+                   .scale_exponent = scale_exponent,
+                   .weights_as_zero = weights_as_zero},
+                  sizes);
 }
 
 LoadSummary summarise_loads(comm::Comm& comm, const particles::ParticleView& particles,
@@ -149,9 +137,12 @@ LoadSummary summarise_loads(comm::Comm& comm, const particles::ParticleView& par
   const bool any_weights = counts[count] > 0;
   counts.pop_back();
   if (!any_weights) return summarise_counts(std::move(counts), sizes);
-  std::array<std::uint64_t, 2> order_bits = weight_order_bits(particles);
-  comm.all_min(order_bits);
-  const std::optional<double> greatest = greatest_weight(order_bits);
+  particles::Range range = weight_range(particles);
+  AllMinMax weights;
+  weights.add(range.lo, range.hi);
+  weights.reduce(comm);
+  weights.take(range.lo, range.hi);
+  const std::optional<double> greatest = greatest_weight(range);
   if (!greatest) return summarise_counts(std::move(counts), sizes);
   const ExactScale scale(*greatest, std::accumulate(counts.begin(), counts.end(), std::uint64_t{0}));
   std::vector<u128> loads(count + 1, u128{0});  // the last one counts the weights that are too small
@@ -185,35 +176,26 @@ LoadSummary moved_loads(comm::Comm& comm, const particles::ParticleView& particl
     change[3 * parts + old_part] += weight;
   }
   comm::all_sum_wide(comm, change);
-  LoadSummary summary;
-  summary.weighted = before.weighted;
-  summary.scale_exponent = before.scale_exponent;
-  summary.weights_as_zero = before.weights_as_zero;
+  LoadSummary now = before;
   for (std::size_t p = 0; p < parts; ++p) {
-    summary.counts.push_back(before.counts[p] + static_cast<std::uint64_t>(change[p] - change[parts + p]));
-    summary.loads.push_back(before.weighted ? before.loads[p] + change[2 * parts + p] - change[3 * parts + p]
-                                            : u128{summary.counts[p]});
+    now.counts[p] += static_cast<std::uint64_t>(change[p] - change[parts + p]);
+    now.loads[p] = before.weighted ? before.loads[p] + change[2 * parts + p] - change[3 * parts + p] : now.counts[p];
   }
-  finish(summary, sizes);
-  return summary;
+  return finished(std::move(now), sizes);
 }
 
-std::array<std::uint64_t, 2> weight_order_bits(const particles::ParticleView& particles) {
-  if (particles.weight == nullptr || particles.count == 0) return {~std::uint64_t{0}, ~std::uint64_t{0}};
-  double least = particles.weight[0];
-  double most = least;
-  geometry::least_and_most({particles.weight, particles.count}, least, most);
-  return {geometry::order_bits(least), ~geometry::order_bits(most)};
+particles::Range weight_range(const particles::ParticleView& particles) {
+  if (particles.weight == nullptr) return {};
+  return particles::range_of({particles.weight, particles.count});
 }
 
-std::optional<double> greatest_weight(std::span<const std::uint64_t, 2> reduced) {
-  if (reduced[0] == ~std::uint64_t{0} || reduced[0] == ~reduced[1]) return std::nullopt;
-  return geometry::value_of_order_bits(~reduced[1]);
+std::optional<double> greatest_weight(const particles::Range& all) {
+  return all.lo < all.hi ? std::optional(all.hi) : std::nullopt;
 }
 
 double quotient(u128 numerator, u128 denominator) {
   RCB_CHECK(denominator > 0, "a quotient needs a denominator");
-  return quotient_of_products(numerator, 1, denominator, 1, 0);
+  return quotient_of_product(numerator, 1, denominator, 0);
 }
 
 }  // namespace rcb::partition

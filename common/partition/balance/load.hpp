@@ -4,7 +4,6 @@
 // Loads, targets, quotas and the error, in exact integers: no decision depends on a floating-point sum.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <optional>
 #include <span>
@@ -12,7 +11,7 @@
 
 #include "common/base/exact_scale.hpp"
 #include "common/comm/comm.hpp"
-#include "common/particles/particle_set.hpp"
+#include "common/particles/block_ranges.hpp"
 
 namespace rcb::partition {
 
@@ -26,11 +25,21 @@ std::vector<std::uint64_t> quotas(std::uint64_t n, std::span<const double> sizes
 // floor(n * part / whole), exactly; part <= whole, whole > 0.
 std::uint64_t floor_share(std::uint64_t n, u128 part, u128 whole);
 
-// The order bits of the least weight and the complement of those of the greatest; all ones if there are no weights.
-// Their minima over the ranks (Comm::all_min) are what greatest_weight() takes. Local.
-std::array<std::uint64_t, 2> weight_order_bits(const particles::ParticleView& particles);
-// nullopt where weights don't count: absent on all ranks, all equal, or all zero. Local.
-std::optional<double> greatest_weight(std::span<const std::uint64_t, 2> reduced);
+// The range of the weights; empty if there are none. Local.
+particles::Range weight_range(const particles::ParticleView& particles);
+// The greatest weight, from the range of all ranks' weights; nullopt where weights don't count: absent on all ranks,
+// all equal, or all zero. Local.
+std::optional<double> greatest_weight(const particles::Range& all);
+
+// Particles and, where weights count, their weight in the scene's scale.
+struct Load {
+  std::uint64_t count = 0;
+  u128 weight = 0;
+
+  Load operator+(const Load& other) const { return {count + other.count, weight + other.weight}; }
+  Load operator-(const Load& other) const { return {count - other.count, weight - other.weight}; }
+  void operator+=(const Load& other) { *this = *this + other; }
+};
 
 // Load per part and what follows from it. Weighted loads are exact integers in the scene's scale. In the formulas W is
 // the sum of all loads, s a part's size and S the sum of all sizes.

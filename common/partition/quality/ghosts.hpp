@@ -29,10 +29,16 @@ struct GhostLimits {
   std::size_t pending_max = std::size_t{1} << 19U;       // ranges of parts that a rank keeps while other ranks catch up
 };
 
-// nullopt if go_on said no. Collective.
+// The bounding box of each part's particles, on all ranks; empty for a part without any. Collective (one reduction).
 //   part  [particles.count], 0 .. parts - 1
+std::vector<geometry::Box> part_boxes(comm::Comm& comm, const particles::ParticleView& particles,
+                                      std::span<const std::int32_t> part, int parts);
+
+// nullopt if go_on said no. Collective.
+//   part   [particles.count]
+//   boxes  of all parts
 std::optional<GhostCounts> count_ghosts(comm::Comm& comm, const particles::ParticleView& particles,
-                                        std::span<const std::int32_t> part, int parts, double width,
-                                        const comm::GoOn& go_on, const GhostLimits& limits = {});
+                                        std::span<const std::int32_t> part, std::vector<geometry::Box> boxes,
+                                        double width, const comm::GoOn& go_on, const GhostLimits& limits = {});
 
 }  // namespace rcb::partition

@@ -15,9 +15,7 @@
 
 namespace rcb::partition {
 
-using cuts::Cut;
 using cuts::CutTree;
-using cuts::NodeRange;
 
 struct Quality : GhostCounts {
   double ghost_width = 0;

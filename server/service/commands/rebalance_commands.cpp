@@ -107,7 +107,7 @@ Response rebalance(Context& context, Scene& scene, const wire::Json& request) {
   } else {
     scene.options = options;
     scene.part = std::move(found->part);
-    adopt(scene, {std::move(found->tree), found->rounds, found->reductions}, std::move(loads));
+    adopt(scene, {std::move(found->tree), found->cost.rounds, found->cost.reductions}, std::move(loads));
     send_strangers(context.comm, scene, false);
     if (context.root()) response.change = {scene.name, scene::Rebalanced{options, scene}};
   }

@@ -7,7 +7,7 @@
 
 #include "common/cuts/id_sum.hpp"
 #include "common/layout/layout.hpp"
-#include "common/partition/incremental/repartition.hpp"
+#include "common/partition/repartition.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/step/exchange.hpp"
 
@@ -50,15 +50,15 @@ void first_step(Context& context, Scene& scene, Staged& staged, StepReport& repo
   const double start = context.clock.seconds();
   auto found = partition::partition(context.comm, scene.particles.view(), search_options(scene.options));
   RCB_CHECK(found.ok(), found.status().message());  // the options were checked when the scene was made
-  report.searched = found->searched;
-  report.rounds = found->rounds;
-  report.reductions = found->reductions;
+  report.searched = found->cost.searched;
+  report.rounds = found->cost.rounds;
+  report.reductions = found->cost.reductions;
   scene.part = std::move(found->part);
   auto loads = found->counts.empty()
                    ? partition::summarise_loads(context.comm, scene.particles.view(), scene.part.span(),
                                                 scene.options.part_sizes, scene.options.parts)
                    : partition::summarise_counts(std::move(found->counts), scene.options.part_sizes);
-  adopt(scene, {std::move(found->tree), found->rounds, found->reductions}, std::move(loads));
+  adopt(scene, {std::move(found->tree), found->cost.rounds, found->cost.reductions}, std::move(loads));
   report.repartitioned = true;
   report.reason = "first positions";
   report.seconds.search = context.clock.seconds() - start;
@@ -86,9 +86,9 @@ partition::Repartition search(Context& context, Scene& scene, Staged& staged, St
         found.wasted ? std::min(2 * scene.full_searches_last + 1, kFullSearchesMax) : 0;
   else if (scene.full_searches_left > 0)
     --scene.full_searches_left;
-  report.searched = found.looked_at;
-  report.rounds = found.rounds;
-  report.reductions = found.reductions;
+  report.searched = found.cost.searched;
+  report.rounds = found.cost.rounds;
+  report.reductions = found.cost.reductions;
   return found;
 }
 
@@ -115,7 +115,7 @@ bool try_repartition(Context& context, Scene& scene, Staged& staged, const Decis
   context.comm.all_sum(changed);
   report.moved = changed[0];
   report.migrated = changed[1];
-  adopt(scene, {std::move(found.tree), found.rounds, found.reductions}, std::move(found.loads));
+  adopt(scene, {std::move(found.tree), found.cost.rounds, found.cost.reductions}, std::move(found.loads));
   return true;
 }
 

@@ -17,7 +17,7 @@
 #include "common/base/status.hpp"
 #include "common/comm/comm.hpp"
 #include "common/particles/particle_set.hpp"
-#include "common/partition/search/request.hpp"
+#include "common/partition/rules/request.hpp"
 
 namespace rcb::bench {
 
@@ -43,9 +43,7 @@ struct Answer {
   std::vector<std::int32_t> part;  // of each particle that this rank holds now
   // Ours alone.
   std::optional<std::uint64_t> hash;
-  std::optional<std::uint64_t> rounds;
-  std::optional<std::uint64_t> reductions;
-  std::optional<partition::Traffic> traffic;  // of this rank
+  std::optional<partition::SearchCost> cost;  // of this rank
 };
 
 class Contender {

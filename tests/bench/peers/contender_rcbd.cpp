@@ -57,9 +57,7 @@ class RcbdContender final : public Contender {
     const auto& part = migrates() ? scene_.part : result_.part;
     answer.part.assign(part.begin(), part.end());
     answer.hash = result_.tree.hash();
-    answer.rounds = result_.rounds;
-    answer.reductions = result_.reductions;
-    answer.traffic = result_.traffic;
+    answer.cost = result_.cost;
     return answer;
   }
 

@@ -9,8 +9,9 @@
 
 #include "common/base/clock.hpp"
 #include "common/layout/layout.hpp"
-#include "common/partition/balance/bounding_box.hpp"
-#include "common/partition/incremental/repartition.hpp"
+#include "common/partition/balance/bounds.hpp"
+#include "common/partition/partition.hpp"
+#include "common/partition/repartition.hpp"
 #include "server/service/step/exchange.hpp"
 #include "tests/bench/json.hpp"
 #include "tests/bench/measure.hpp"
@@ -151,9 +152,9 @@ Json run_cell(comm::Comm& comm, const SceneKind& kind, const Cell& cell, double 
     row["ways"].push_back({{"way", kWays[w].name},
                            {"seconds", seconds[w]},
                            {"moved", moved},
-                           {"looked_at", found[w].looked_at},
+                           {"looked_at", found[w].cost.searched},
                            {"warm", found[w].incremental},
-                           {"reductions", found[w].reductions},
+                           {"reductions", found[w].cost.reductions},
                            {"axes_flipped", cuts::axes_flipped(*held.scene.tree, found[w].tree)},
                            {"error", found[w].loads.error},
                            {"hash", fmt::format("{:016x}", found[w].tree.hash())}});

@@ -50,8 +50,10 @@ Json answer_cell(comm::Comm& comm, const Problem& problem, const Contenders& con
   row["assignment"] = fmt::format("{:016x}", checksum(comm, problem, answer));
   row["owner_differs"] = strangers(comm, contender, answer);
   if (answer.hash) row["hash"] = fmt::format("{:016x}", *answer.hash);
-  if (answer.rounds) row["rounds"] = *answer.rounds;
-  if (answer.reductions) row["reductions"] = *answer.reductions;
+  if (answer.cost) {
+    row["rounds"] = answer.cost->rounds;
+    row["reductions"] = answer.cost->reductions;
+  }
   return row;
 }
 

@@ -41,7 +41,7 @@ void run(const Scene& scene, const PartitionOptions& options, Met& met) {
     met.hashes.insert(got.tree.hash());
     met.error = loads.error;
     met.loads = std::move(loads);
-    met.reductions = got.reductions;
+    met.reductions = got.cost.reductions;
   });
 }
 
@@ -58,7 +58,7 @@ TEST(CutTolerance, BoundsTheErrorOfEveryPart) {
     options.parts = 2 + static_cast<int>(random.below(40));
     if (random.below(3) == 0)
       for (int p = 0; p < options.parts; ++p) options.part_sizes.push_back(0.5 + random.uniform());
-    options.limits.gather_max = 1 + random.below(40);
+    options.tuning.gather_max = 1 + random.below(40);
     constexpr std::array kTolerances{0.001, 0.02, 0.1, 0.5, 1.0};
     options.cut_tolerance = kTolerances[random.below(kTolerances.size())];
     SCOPED_TRACE(scene.name + ", parts " + std::to_string(options.parts) + ", cut tolerance " +
@@ -131,7 +131,7 @@ TEST(CutTolerance, NothingIsCutBehindTheLastBin) {
   options.parts = 2;
   options.part_sizes = {7, 3};
   options.cut_tolerance = 1;
-  options.limits.gather_max = 1;
+  options.tuning.gather_max = 1;
   Met met;
   run(scene, options, met);
   EXPECT_EQ(met.hashes.size(), 1U);

@@ -9,7 +9,6 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
-#include "common/base/cpu.hpp"
 #include "tests/support/agreement.hpp"
 #include "tests/support/forwarding_comm.hpp"
 #include "tests/support/judge.hpp"
@@ -97,12 +96,12 @@ TEST(Partition, EndsBetweenTwoLevelsWhenItIsTold) {
       int asked = 0;
       const comm::GoOn go_on = [&] { return ++asked <= last; };
       const auto found = partition(comm, share.particles.view(), options, go_on);
-      EXPECT_EQ(found.ok(), last >= 6) << last;
+      EXPECT_EQ(found.ok(), last >= 7) << last;
       if (!found.ok()) {
         EXPECT_EQ(found.status().code(), Code::aborted);
       }
-      EXPECT_EQ(asked, std::min(last + 1, 6));
-      if (last < 6) {
+      EXPECT_EQ(asked, std::min(last + 1, 7));
+      if (last < 7) {
         EXPECT_FALSE(partition(
                          comm, share.particles.view(),
                          [] {
@@ -141,8 +140,8 @@ TEST(Partition, OnePlaceIsNotTakenForAnother) {
   asked.band_axis = 0;
   const Judgement judged = judge(scene, asked);
   PartitionOptions options = options_of(asked);
-  options.limits.gather_max = 1;
-  options.limits.bins_max = 64;
+  options.tuning.gather_max = 1;
+  options.tuning.bins_max = 64;
   on_ranks([&](comm::Comm& comm) { check_share(comm, scene, options, judged, kPartitionSeed); });
 }
 
@@ -234,7 +233,7 @@ TEST(Partition, RoundsAreBounded) {
       on_ranks({1, 3}, [&](comm::Comm& comm) {
         const Share share = deal(scene, comm.rank(), comm.size(), kPartitionSeed);
         const PartitionResult got = partition(comm, share.particles.view(), options).value();
-        EXPECT_LE(got.rounds, static_cast<Shape>(shape) == Shape::coincident ? 3U * 8U : 3U * 8U * 4U);
+        EXPECT_LE(got.cost.rounds, static_cast<Shape>(shape) == Shape::coincident ? 3U * 8U : 3U * 8U * 4U);
         const std::lock_guard lock(mutex);
         ++hashes[got.tree.hash()];
       });
@@ -250,7 +249,7 @@ struct CountingComm final : testing::ForwardingComm {
 
 // However few the particles are.
 PartitionOptions with_buckets(PartitionOptions options) {
-  options.limits.buckets = {.count_min = 0, .per_part_min = 0, .stride = 32, .sample_min = 1};
+  options.tuning.sample = {.count_min = 0, .per_part_min = 0, .stride = 32, .sample_min = 1};
   return options;
 }
 
@@ -262,19 +261,16 @@ TEST(Partition, BucketsChangeNoAnswer) {
       SCOPED_TRACE(fmt::format("{}, {} parts", scene.name, parts));
       PartitionOptions options;
       options.parts = parts;
-      options.limits.buckets.count_min = scene.count() + 1;
+      options.tuning.sample.count_min = scene.count() + 1;
       on_ranks([&](comm::Comm& comm) {
         const Share share = deal(scene, comm.rank(), comm.size(), kPartitionSeed);
         const PartitionResult all = partition(comm, share.particles.view(), options).value();
         CountingComm counting(comm);
         const PartitionResult bucketed = partition(counting, share.particles.view(), with_buckets(options)).value();
-        EXPECT_EQ(bucketed.reductions, counting.collectives);
+        EXPECT_EQ(bucketed.cost.reductions, counting.collectives);
         EXPECT_EQ(bucketed.tree.hash(), all.tree.hash());
         EXPECT_TRUE(std::equal(bucketed.part.begin(), bucketed.part.end(), all.part.begin(), all.part.end()));
         EXPECT_EQ(bucketed.counts, all.counts);
-        if (has_avx2()) {
-          EXPECT_LT(bucketed.traffic.bytes, all.traffic.bytes);
-        }
       });
     }
 }

@@ -70,8 +70,7 @@ inline Result<scene::CountRecord> received(scene::CountRecord record) {
 
 // The scale that these weights need, as the ranks find it.
 inline std::optional<int> scale_needed(const particles::ParticleView& particles) {
-  const auto bits = partition::weight_order_bits(particles);
-  const auto greatest = partition::greatest_weight(bits);
+  const auto greatest = partition::greatest_weight(partition::weight_range(particles));
   if (!greatest) return std::nullopt;
   return ExactScale(*greatest, particles.count).exponent();
 }

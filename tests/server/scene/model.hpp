@@ -9,8 +9,8 @@
 #include <utility>
 
 #include "common/base/random.hpp"
-#include "common/partition/incremental/repartition.hpp"
 #include "common/partition/partition.hpp"
+#include "common/partition/repartition.hpp"
 #include "server/scene/events.hpp"
 #include "server/scene/policy.hpp"
 #include "tests/support/self_comm.hpp"

@@ -123,14 +123,16 @@ TEST(Ghosts, AreCountedInRoundsThatCanBeGivenUp) {
       int asked = 0;
       const GhostLimits limits{.round_visits = 1, .pending_max = 1};
       const auto counts = count_ghosts(
-          comm, share.particles.view(), part, kParts, width, [&] { return ++asked > 0; }, limits);
+          comm, share.particles.view(), part, part_boxes(comm, share.particles.view(), part, kParts), width,
+          [&] { return ++asked > 0; }, limits);
       ASSERT_TRUE(counts);
       EXPECT_EQ(counts->ghosts, expected.ghosts);
       EXPECT_EQ(counts->neighbours, expected.neighbours);
       EXPECT_GE(asked, static_cast<int>(scene.count()) / comm.size());
       int left = 5;
       EXPECT_FALSE(count_ghosts(
-          comm, share.particles.view(), part, kParts, width, [&] { return --left > 0; }, limits));
+          comm, share.particles.view(), part, part_boxes(comm, share.particles.view(), part, kParts), width,
+          [&] { return --left > 0; }, limits));
       EXPECT_EQ(left, 0);
     }
   });
@@ -145,8 +147,9 @@ TEST(Ghosts, OfAnyWidthCostNoMore) {
     std::vector<std::int32_t> part;
     for (const std::size_t row : share.row) part.push_back(static_cast<std::int32_t>(row % kParts));
     int rounds = 0;
-    const auto counts = count_ghosts(comm, share.particles.view(), part, kParts, 1e300, [&] { return ++rounds > 0; },
-                                     {.round_visits = 20000});
+    const auto counts =
+        count_ghosts(comm, share.particles.view(), part, part_boxes(comm, share.particles.view(), part, kParts), 1e300,
+                     [&] { return ++rounds > 0; }, {.round_visits = 20000});
     ASSERT_TRUE(counts);
     EXPECT_LE(rounds, 3);
     std::vector<std::uint64_t> all_but_own(kParts, 20000 - 1);

@@ -1,0 +1,42 @@
+// Room `points`: quantised points, and how coordinates become integers. The points of a tree node lie side by side, in
+// few segments, so a level of the tree takes a few linear passes over memory, and the particles stay where they are.
+//
+// Segment: some of a node's quantised points, side by side.
+#pragma once
+
+#include <cstdint>
+#include <span>
+
+#include "common/partition/kernels/block.hpp"
+
+namespace rcb::partition {
+
+// Integers on one axis, lo to hi, both included; lo > hi: none.
+struct Interval {
+  std::int32_t lo = 0;
+  std::int32_t hi = -1;
+
+  static constexpr Interval everything() { return {0, LinearMaps::kTop}; }
+  bool empty() const { return lo > hi; }
+  bool meets(std::int32_t low, std::int32_t high) const { return low <= hi && high >= lo; }
+};
+
+// While a cut is searched, the points before `middle` are known to go left, those from `upper` on to go right, and
+// those between them are undecided.
+struct Segment {
+  QuantisedPoint* first = nullptr;
+  QuantisedPoint* middle = nullptr;
+  QuantisedPoint* upper = nullptr;
+  QuantisedPoint* last = nullptr;
+  // [replaced, replaced_last): the points whose integers on the cut axis are replaced by another key word for now.
+  QuantisedPoint* replaced = nullptr;
+  QuantisedPoint* replaced_last = nullptr;
+  std::uint64_t base = 0;  // particle base + index is this rank's particle of that index
+  QBounds bounds;          // exact
+
+  std::size_t size() const { return static_cast<std::size_t>(last - first); }
+  std::span<QuantisedPoint> all() const { return {first, last}; }
+  std::span<QuantisedPoint> undecided() const { return {middle, upper}; }
+};
+
+}  // namespace rcb::partition

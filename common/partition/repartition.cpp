@@ -1,0 +1,164 @@
+#include "common/partition/repartition.hpp"
+
+#include <algorithm>
+#include <numeric>
+#include <optional>
+#include <utility>
+
+#include "common/base/index.hpp"
+#include "common/comm/wide_sum.hpp"
+#include "common/partition/buckets/put_held.hpp"
+#include "common/partition/search/tree_search.hpp"
+#include "common/partition/search_all.hpp"
+
+namespace rcb::partition {
+namespace {
+
+constexpr std::size_t kFirstPart = Splitters::kBuckets;  // the bucket of the first part
+
+class Repartitioning {
+ public:
+  Repartitioning(comm::Comm& comm, const particles::ParticleView& particles, const RepartitionOptions& options,
+                 const CurrentPartition& current)
+      : comm_(comm), particles_(particles), options_(options), current_(current) {
+    if (current.loads.weighted) scale_.emplace(current.loads.scale_exponent);
+    counts_ = current.loads.counts;
+    n_ = std::accumulate(counts_.begin(), counts_.end(), std::uint64_t{0});
+    result_.tree = current.tree;
+  }
+
+  Repartition run() {
+    const PartitionOptions& options = options_.partition;
+    const bool near_cuts = options_.incremental && options.cut_tolerance == 0;
+    if (options.parts == 1) {
+      result_.incremental = true;
+    } else if (!near_cuts || !search_listed()) {
+      result_.wasted = near_cuts;
+      search_among_all();
+    }
+    result_.loads = scale_ ? moved_loads(comm_, particles_, current_.loads, current_.part, result_.delta.slot.span(),
+                                         result_.delta.part.span(), options.part_sizes)
+                           : summarise_counts(std::move(counts_), options.part_sizes);
+    return std::move(result_);
+  }
+
+ private:
+  std::uint64_t most_listed() const { return n_ / options_.partition.tuning.boundary_divisor; }
+  // Sets the loads of the buckets. False if more particles are listed than is worth it. Collective (one sum).
+  bool sum_loads(const OwnShare& own, bool too_many, std::span<Bucket> buckets);
+  // Searches the particles near the expected new cuts. False if they are too many. Collective.
+  bool search_listed();
+  void search_among_all();
+
+  comm::Comm& comm_;
+  const particles::ParticleView& particles_;
+  const RepartitionOptions& options_;
+  const CurrentPartition& current_;
+  std::optional<ExactScale> scale_;
+  std::uint64_t n_ = 0;
+  std::vector<std::uint64_t> counts_;
+  Repartition result_;
+};
+
+bool Repartitioning::sum_loads(const OwnShare& own, bool too_many, std::span<Bucket> buckets) {
+  std::vector<std::uint64_t> counts{too_many ? 1U : 0U};
+  std::vector<u128> weights;
+  const auto send = [&](const Load& load) {
+    counts.push_back(load.count);
+    if (scale_) weights.push_back(load.weight);
+  };
+  for (std::size_t b = 0; b < kFirstPart; ++b)
+    if (buckets[b].exists()) send(own.loads[b]);
+  for (const Load& left : own.left) send(left);
+  comm_.all_sum(counts);
+  ++result_.cost.reductions;
+  if (scale_) {
+    comm::all_sum_wide(comm_, weights);
+    ++result_.cost.reductions;
+  }
+  std::size_t next = 0;
+  const auto receive = [&] {
+    const u128 weight = scale_ ? weights[next] : 0;
+    return Load{counts[++next], weight};
+  };
+  for (std::size_t b = 0; b < kFirstPart; ++b) {
+    if (buckets[b].exists()) buckets[b].load = receive();
+    result_.cost.searched += buckets[b].load.count;
+  }
+  for (std::size_t p = 0; p < own.left.size(); ++p)
+    buckets[kFirstPart + p].load = Load{current_.loads.counts[p], current_.loads.loads[p]} - receive();
+  return counts[0] == 0 && result_.cost.searched <= most_listed();
+}
+
+bool Repartitioning::search_listed() {
+  const PartitionOptions& options = options_.partition;
+  const GuideFromCuts guide = guide_from_cuts(comm_, particles_, current_, n_, options, result_.cost);
+  AxisMaps maps = guide.guide.maps(particles_.dims);
+  std::vector<Bucket> buckets = empty_buckets(options.parts, true, true);
+  PointStore points(buckets.size(), points_together(particles_.count, buckets.size(), options.tuning));
+  PutHeld put(particles_, current_, guide, maps, scale_, options.tuning, points);
+  // The own count alone won't do: a rank may hold nothing but particles that have just left other ranks' parts.
+  const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());
+  const std::uint64_t most = std::max<std::uint64_t>(particles_.count, mean) / options.tuning.boundary_divisor;
+  const OwnShare own = put.run(most);
+  if (!sum_loads(own, put.listed().count() > most, buckets)) return false;
+  reduce_boxes(comm_, own, buckets, result_.cost);
+  note_boxes(buckets, maps, particles_.dims);
+  if (may_be_lossless(maps, particles_.dims)) reduce_lossless(comm_, own.lossless, maps, particles_.dims, result_.cost);
+  const auto make = [&](std::span<const std::int32_t> wanted) {
+    if (options_.before_search_of_all) options_.before_search_of_all();
+    return put.make(wanted);
+  };
+  const SearchStart start{buckets, maps, scale_, points, make, most_listed()};
+  std::optional<TreeFound> tree = TreeSearch(comm_, particles_, options, start, result_.cost).find({});
+  if (!tree) return false;
+  TreeFound& found = *tree;
+  std::vector<std::int32_t> moved(at(options.parts));
+  bool any_moved = false;
+  for (std::size_t p = 0; p < moved.size(); ++p) {
+    const std::int32_t to = found.part_of_bucket[kFirstPart + p];
+    moved[p] = to < 0 ? static_cast<std::int32_t>(p) : to;
+    any_moved |= moved[p] != static_cast<std::int32_t>(p);
+  }
+  if (any_moved) put.list_moved(moved);
+  result_.delta = put.listed().changes(current_.part, moved, found.points);
+  result_.cost.searched += found.opened;
+  result_.tree = std::move(found.tree);
+  if (!scale_) counts_ = std::move(found.counts);
+  result_.incremental = found.opened == 0;
+  result_.wasted = result_.cost.searched > most_listed();
+  return true;
+}
+
+void Repartitioning::search_among_all() {
+  result_.cost.searched = 0;
+  if (options_.before_search_of_all) options_.before_search_of_all();
+  PartitionResult found = search_all(comm_, particles_, options_.partition, {}).value();
+  result_.cost += found.cost;
+  // Without branches: half of them may have changed, in no order. Counted first, since growing lists would take twice
+  // their memory.
+  const std::span<const std::int32_t> before = current_.part;
+  std::size_t changed = 0;
+  for (std::size_t i = 0; i < before.size(); ++i) changed += found.part[i] == before[i] ? 0U : 1U;
+  PartDelta& delta = result_.delta;
+  delta.slot.resize(changed + 1);  // what hasn't changed is written behind the last, too
+  delta.part.resize(changed + 1);
+  for (std::size_t i = 0, told = 0; i < before.size(); ++i) {
+    delta.slot[told] = i;
+    delta.part[told] = found.part[i];
+    told += found.part[i] == before[i] ? 0U : 1U;
+  }
+  delta.slot.resize(changed);
+  delta.part.resize(changed);
+  result_.tree = std::move(found.tree);
+  if (!scale_) counts_ = std::move(found.counts);
+}
+
+}  // namespace
+
+Repartition repartition(comm::Comm& comm, const particles::ParticleView& particles, const RepartitionOptions& options,
+                        const CurrentPartition& current) {
+  return Repartitioning(comm, particles, options, current).run();
+}
+
+}  // namespace rcb::partition

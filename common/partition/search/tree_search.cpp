@@ -1,0 +1,398 @@
+#include "common/partition/search/tree_search.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <utility>
+
+#include "common/base/check.hpp"
+#include "common/base/index.hpp"
+#include "common/partition/buckets/pass.hpp"
+#include "common/partition/search/cut_search.hpp"
+#include "common/partition/search/node_axes.hpp"
+
+namespace rcb::partition {
+
+CutTree uncut_tree(const PartitionOptions& options, int dims) {
+  CutTree tree;
+  tree.dims = dims;
+  tree.method = options.method;
+  tree.parts = options.parts;
+  tree.part_sizes = options.part_sizes;
+  tree.cuts.resize(at(options.parts) - 1);
+  return tree;
+}
+
+TreeSearch::TreeSearch(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
+                       const SearchStart& start, SearchCost& cost)
+    : comm_(comm),
+      particles_(particles),
+      options_(options),
+      start_(start),
+      cost_(cost),
+      rule_(options, particles.dims),
+      search_({comm, particles, start.maps, start.scale, options.tuning, cost}) {
+  result_.tree = uncut_tree(options, particles.dims);
+  result_.part_of_bucket.assign(start_.buckets.size(), -1);
+  if (!start_.scale) result_.counts.resize(at(options.parts));
+  // (1 + level tolerance)^levels <= 1 + tolerance
+  const double levels = std::bit_width(static_cast<unsigned>(options.parts - 1));
+  level_tolerance_ = std::expm1(std::log1p(options.cut_tolerance) / std::max(levels, 1.0));
+}
+
+std::optional<TreeFound> TreeSearch::find(const comm::GoOn& go_on) {
+  Node root{.range = result_.tree.root()};
+  for (std::size_t b = 0; b < start_.buckets.size(); ++b)
+    if (!start_.buckets[b].empty()) root.wholes.push_back(static_cast<std::int32_t>(b));
+  root.load = load_of(root.wholes);
+  const geometry::Box box = box_of(start_.buckets, root.wholes);
+  Point extents{};
+  for (std::size_t a = 0; a < at(particles_.dims) && !root.empty(); ++a)
+    extents[a] = geometry::extent(box.lo[a], box.hi[a]);
+  rule_.set_all(root.load.count, extents);
+  if (root.empty())
+    cut_empty(root.range);
+  else
+    level_.push_back(std::move(root));
+  NodeAxes axes(comm_, particles_, start_.maps, start_.buckets, rule_, cost_);
+  while (!level_.empty()) {
+    if (go_on && !go_on()) return std::nullopt;
+    axes.order(level_);
+    if (!search_level()) return std::nullopt;
+    cut_level();
+  }
+  return std::move(result_);
+}
+
+// The prefix of keys that reaches this load ends with the wanted key.
+u128 TreeSearch::load_wanted(const CutRequest& wanted) const {
+  return start_.scale ? threshold_of(wanted) : u128{wanted.rank} + 1;
+}
+
+Interval TreeSearch::span_of(std::int32_t bucket, std::size_t axis) const {
+  const QBounds& q = start_.buckets[at(bucket)].q;
+  return {q.lo[axis], q.hi[axis]};
+}
+
+Load TreeSearch::load_of(std::span<const std::int32_t> buckets) const {
+  Load load;
+  for (const std::int32_t b : buckets) load += start_.buckets[at(b)].load;
+  return load;
+}
+
+// By how much load a cut may miss its target. The tolerance is a fraction of each side's target; the smaller one
+// decides.
+u128 TreeSearch::slack_of(const Node& node) const {
+  const u128 left = rule_.size(node.range.first, node.range.middle());
+  const u128 right = rule_.size(node.range.middle(), node.range.last);
+  const double share = quotient(std::min(left, right), left + right);
+  return static_cast<u128>(std::min(level_tolerance_, 1.0) * share * static_cast<double>(amount(node.load)));
+}
+
+CutRequest TreeSearch::request_of(const Node& node) const {
+  CutRequest wanted{.axes = node.axes, .all = node.load};
+  wanted.left_size = rule_.size(node.range.first, node.range.middle());
+  wanted.size = rule_.size(node.range.first, node.range.last);
+  if (options_.cut_tolerance > 0) {
+    wanted.rank = floor_share(node.load.count, wanted.left_size, wanted.size);
+    wanted.slack = slack_of(node);
+  } else {
+    wanted.rank = rule_.quota(node.range.first, node.range.middle());
+  }
+  wanted.search = start_.scale || wanted.rank < node.load.count;
+  return wanted;
+}
+
+// Between the wholes that are meant for the left and those for the right; empty if these don't lie apart, since the cut
+// lies across another axis than expected.
+Interval TreeSearch::gap(const Node& node) const {
+  Interval gap = Interval::everything();
+  for (const std::int32_t b : node.wholes) {
+    const Interval own = span_of(b, at(node.axes[0]));
+    const Bucket& bucket = start_.buckets[at(b)];
+    if (bucket.last <= node.range.middle()) gap.lo = std::max(gap.lo, own.hi + 1);
+    if (bucket.first >= node.range.middle()) gap.hi = std::min(gap.hi, own.lo - 1);
+  }
+  return gap;
+}
+
+// The gap between neighbouring wholes that most likely has the key: the load of the wholes below it, and that of what
+// may lie anywhere (points, and wholes meant for both sides), allow the key there with the widest margin. Empty: none
+// does.
+Interval TreeSearch::free_interval(const Node& node, u128 wanted) const {
+  const auto axis = at(node.axes[0]);
+  std::vector<std::int32_t> wholes;
+  for (const std::int32_t b : node.wholes)
+    if (start_.buckets[at(b)].last <= node.range.middle() || start_.buckets[at(b)].first >= node.range.middle())
+      wholes.push_back(b);
+  std::ranges::sort(wholes, {}, [&](std::int32_t b) { return span_of(b, axis).lo; });
+  const u128 loose = amount(node.load - load_of(wholes));
+  Interval best;
+  u128 best_margin = 0;
+  u128 before = 0;
+  std::int32_t next = 0;  // the first integer above the wholes so far
+  const auto look = [&](std::int32_t end) {
+    if (next >= end || wanted <= before || wanted > before + loose) return;
+    const u128 margin = std::min(wanted - before, before + loose + 1 - wanted);
+    if (margin > best_margin) best = {next, end - 1};
+    best_margin = std::max(best_margin, margin);
+  };
+  for (const std::int32_t b : wholes) {
+    look(span_of(b, axis).lo);
+    before += amount(start_.buckets[at(b)].load);
+    next = std::max(next, span_of(b, axis).hi + 1);
+  }
+  look(AxisMap::kTop + 1);
+  return best;
+}
+
+Interval TreeSearch::certain(std::span<const std::int32_t> wholes, std::size_t axis, Interval region, u128 loose,
+                             u128 wanted) const {
+  struct End {
+    std::int32_t integer;
+    u128 load;
+  };
+  // The least integer up to which, with what these ends count, there is enough.
+  const auto reaches = [wanted](std::vector<End>& ends, u128 load, std::int32_t otherwise) {
+    std::ranges::sort(ends, {}, &End::integer);
+    for (const End& end : ends)
+      if ((load += end.load) >= wanted) return end.integer;
+    return otherwise;
+  };
+  std::vector<End> begins;
+  std::vector<End> ends;
+  for (const std::int32_t b : wholes) {
+    const Interval own = span_of(b, axis);
+    const u128 load = amount(start_.buckets[at(b)].load);
+    begins.push_back({own.lo, load});
+    ends.push_back({own.hi, load});
+  }
+  const std::int32_t lo = loose >= wanted ? region.lo : reaches(begins, loose, region.hi);
+  return {std::max(region.lo, lo), std::min(region.hi, reaches(ends, 0, region.hi))};
+}
+
+std::vector<TreeSearch::Pending> TreeSearch::begin_level() {
+  std::vector<Pending> pending;
+  wanted_.clear();
+  for (std::size_t n = 0; n < level_.size(); ++n) {
+    const Node& node = level_[n];
+    CutRequest& wanted = wanted_.emplace_back(request_of(node));
+    if (!wanted.search) continue;
+    wanted.within = gap(node);
+    if (wanted.within.empty()) wanted.within = free_interval(node, load_wanted(wanted));
+    if (wanted.within.empty())
+      wanted.within = certain(node.wholes, at(node.axes[0]), Interval::everything(),
+                              amount(node.load - load_of(node.wholes)), load_wanted(wanted));
+    pending.push_back({n, wanted.within});
+  }
+  return pending;
+}
+
+TreeSearch::Sides TreeSearch::sides_of(std::size_t n) const {
+  Sides sides;
+  for (const std::int32_t b : level_[n].wholes)
+    (span_of(b, at(level_[n].axes[0])).hi < wanted_[n].within.lo ? sides.below : sides.above).push_back(b);
+  return sides;
+}
+
+bool TreeSearch::open(std::span<const Pending> pending) {
+  std::vector<std::int32_t> unmade;
+  for (const auto& [n, interval] : pending) {
+    const auto axis = at(level_[n].axes[0]);
+    for (const std::int32_t b : level_[n].wholes) {
+      const Interval own = span_of(b, axis);
+      if (!interval.meets(own.lo, own.hi) || std::exchange(start_.buckets[at(b)].made, true)) continue;
+      unmade.push_back(b);
+      result_.opened += start_.buckets[at(b)].load.count;
+    }
+  }
+  if (result_.opened > start_.made_max) return false;
+  if (!unmade.empty()) {
+    const Lossless lossless = start_.make_points(unmade);
+    if (may_be_lossless(start_.maps, particles_.dims))
+      reduce_lossless(comm_, lossless, start_.maps, particles_.dims, cost_);
+  }
+  for (const auto& [n, interval] : pending) {
+    Node& node = level_[n];
+    const auto meets = [&, axis = at(node.axes[0])](std::int32_t b) {
+      const Interval own = span_of(b, axis);
+      return interval.meets(own.lo, own.hi);
+    };
+    const auto opened = std::ranges::stable_partition(node.wholes, std::not_fn(meets));
+    for (const std::int32_t b : opened) {
+      for (Segment& segment : start_.points.take(at(b))) {
+        kernels().widen(segment.bounds, segment.all());
+        cost_.bytes += segment.size() * sizeof(QuantisedPoint);
+        node.segments.push_back(segment);
+      }
+      node.points.bounds.extend(start_.buckets[at(b)].q);
+    }
+    node.wholes.erase(opened.begin(), opened.end());
+    node.points.load = node.load - load_of(node.wholes);
+  }
+  return true;
+}
+
+bool TreeSearch::search_level() {
+  found_.assign(level_.size(), {});
+  for (CutFound& found : found_) found.right_empty = true;
+  std::vector<Pending> pending = begin_level();
+  for (std::size_t tries = 0; !pending.empty(); ++tries) {
+    RCB_CHECK(tries <= 2 + start_.buckets.size(), "each try but one opens a whole");
+    if (!open(pending)) return false;
+    std::vector<CutRequest> asked;
+    for (const auto& [n, interval] : pending) {
+      Node& node = level_[n];
+      CutRequest& own = wanted_[n];
+      own.points = node.points;
+      own.points.segments = node.segments;
+      own.any_whole = !node.wholes.empty();
+      own.points.one_place.all = node.points.one_place.all && node.wholes.empty();
+      own.keep_ids = own.points.one_place.all && options_.cut_tolerance == 0;
+      own.before = load_of(sides_of(n).below);
+      asked.push_back(own);
+    }
+    const std::vector<CutFound> found = search_.find(asked);
+    pending = check(pending, found);
+  }
+  return true;
+}
+
+std::vector<TreeSearch::Pending> TreeSearch::check(std::span<const Pending> pending, std::span<const CutFound> found) {
+  std::vector<Pending> again;
+  for (std::size_t k = 0; k < pending.size(); ++k) {
+    const std::size_t n = pending[k].node;
+    const auto axis = at(level_[n].axes[0]);
+    CutRequest& wanted = wanted_[n];
+    const CutFound& own = found_[n] = found[k];
+    const Sides sides = sides_of(n);
+    Interval to_open = own.relied_on;
+    if (own.where == CutFound::Where::below) {
+      to_open = wanted.within =
+          certain(sides.below, axis, {0, wanted.within.lo - 1}, amount(own.points_below), load_wanted(wanted));
+    } else if (own.where == CutFound::Where::above) {
+      const u128 before = amount(wanted.before + own.points_below + own.points_within);
+      const u128 loose = amount(wanted.points.load - own.points_below - own.points_within);
+      to_open = wanted.within =
+          certain(sides.above, axis, {wanted.within.hi + 1, AxisMap::kTop}, loose, load_wanted(wanted) - before);
+    } else if (to_open.hi == AxisMap::kTop) {  // the next key above isn't a point's: the nearest whole has one
+      for (const std::int32_t b : sides.above) to_open.hi = std::min(to_open.hi, span_of(b, axis).lo);
+    }
+    const auto meets = [&](std::int32_t b) { return to_open.meets(span_of(b, axis).lo, span_of(b, axis).hi); };
+    if (own.where != CutFound::Where::within || std::ranges::any_of(level_[n].wholes, meets))
+      again.push_back({n, to_open});
+  }
+  return again;
+}
+
+void TreeSearch::cut_level() {
+  std::vector<Node> next;
+  for (std::size_t n = 0; n < level_.size(); ++n) {
+    const Node& node = level_[n];
+    const CutFound& found = found_[n];
+    Cut& cut = result_.tree.cuts[at(node.range.node)];
+    cut = {.axes = node.axes, .right_empty = found.right_empty};
+    if (!cut.right_empty) {
+      for (std::size_t w = 0; w < at(particles_.dims); ++w) cut.key.at[w] = geometry::value_of_order_bits(found.key[w]);
+      cut.key.id = static_cast<Id>(found.key[at(particles_.dims)]);
+    }
+    for (const bool right : {false, true}) {
+      Node own = child(node, wanted_[n], found, right);
+      if (own.range.leaf())
+        finish_part(own);
+      else
+        next.push_back(std::move(own));
+    }
+  }
+  reduce_bounds(next);
+  level_.clear();
+  for (Node& node : next) {
+    if (node.empty())
+      cut_empty(node.range);
+    else
+      level_.push_back(std::move(node));
+  }
+}
+
+Node TreeSearch::child(const Node& parent, const CutRequest& wanted, const CutFound& found, bool right) {
+  Node own{.range = right ? parent.range.right() : parent.range.left()};
+  const Load left = found.right_empty ? parent.load : found.left;
+  own.load = right ? parent.load - left : left;
+  const auto axis = at(parent.axes[0]);
+  const std::int32_t key =
+      found.right_empty ? AxisMap::kTop : start_.maps[axis](geometry::value_of_order_bits(found.key[0]));
+  for (const std::int32_t b : parent.wholes) {
+    const Interval span = span_of(b, axis);
+    const bool goes_right = !found.right_empty && span.lo > key;
+    RCB_CHECK(found.right_empty || goes_right || span.hi < key, "a cut leaves wholes whole");
+    if (goes_right == right) own.wholes.push_back(b);
+  }
+  own.points.load = own.load - load_of(own.wholes);
+  OnePlace& place = own.points.one_place = parent.points.one_place;
+  if (wanted.search) {
+    place.all = wanted.points.one_place.all;
+    place.by_id = found.ids_kept;
+  }
+  if (found.where_in_one_place) place.where = found.where_in_one_place;
+  if (place.all && !found.right_empty) {
+    const auto id = static_cast<Id>(found.key[at(particles_.dims)]);
+    (right ? place.id_first : place.id_last) = right ? id : id - 1;
+  }
+  for (const Segment& segment : parent.segments) {
+    QuantisedPoint* const middle = found.right_empty ? segment.last : segment.middle;
+    Segment part = segment;
+    (right ? part.first : part.last) = middle;
+    if (part.size() == 0) continue;
+    if (own.range.leaf()) {
+      own.segments.push_back(part);
+      continue;
+    }
+    if (part.size() < segment.size() && !place.all) {
+      part.bounds = {};
+      kernels().widen(part.bounds, part.all());
+      cost_.bytes += part.size() * sizeof(QuantisedPoint);
+    }
+    own.points.bounds.extend(part.bounds);
+    own.segments.push_back(part);
+  }
+  return own;
+}
+
+void TreeSearch::finish_part(const Node& leaf) {
+  const std::int32_t part = leaf.range.first;
+  if (!start_.scale) result_.counts[at(part)] = leaf.load.count;
+  for (const Segment& segment : leaf.segments) result_.points.push_back({segment.all(), segment.base, part});
+  for (const std::int32_t b : leaf.wholes) {
+    result_.part_of_bucket[at(b)] = part;
+    for (const Segment& segment : start_.points.take(at(b)))
+      result_.points.push_back({segment.all(), segment.base, part});
+  }
+}
+
+// Without particles the cuts of a node, and those below, follow from the rule alone. With many more parts than
+// particles most nodes are such.
+void TreeSearch::cut_empty(const NodeRange& range) {
+  if (range.leaf()) return;
+  result_.tree.cuts[at(range.node)] = {.axes = *rule_.axes_of(range, {}), .right_empty = true};
+  cut_empty(range.left());
+  cut_empty(range.right());
+}
+
+// Turns this rank's bounds of these nodes' points into those of all ranks.
+void TreeSearch::reduce_bounds(std::span<Node> nodes) {
+  std::vector<std::uint64_t> least;
+  for (const Node& node : nodes)
+    for (std::size_t a = 0; a < at(particles_.dims); ++a) {
+      least.push_back(static_cast<std::uint64_t>(node.points.bounds.lo[a]));
+      least.push_back(static_cast<std::uint64_t>(std::int64_t{QBounds::kNone} - node.points.bounds.hi[a]));
+    }
+  cost_.reductions += comm::all_min_in_messages(comm_, least);
+  auto next = least.begin();
+  for (Node& node : nodes)
+    for (std::size_t a = 0; a < at(particles_.dims); ++a) {
+      node.points.bounds.lo[a] = static_cast<std::int32_t>(*next++);
+      node.points.bounds.hi[a] = static_cast<std::int32_t>(QBounds::kNone - static_cast<std::int64_t>(*next++));
+    }
+}
+
+}  // namespace rcb::partition
