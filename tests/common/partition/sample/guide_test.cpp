@@ -63,7 +63,7 @@ TEST(GuideOfLargeSet, IsTheSameOnAllRanksAndBracketsTheCuts) {
         }
       });
     }
-  EXPECT_GT(hits.nodes, 1000);
+  EXPECT_GT(hits.nodes, 300);
   EXPECT_GT(hits.bracketed, 0.97 * hits.nodes);
   EXPECT_LT(hits.unbounded, 0.2 * hits.nodes);
 }
