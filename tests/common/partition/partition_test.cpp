@@ -145,6 +145,20 @@ TEST(Partition, OnePlaceIsNotTakenForAnother) {
   on_ranks([&](comm::Comm& comm) { check_share(comm, scene, options, judged, kPartitionSeed); });
 }
 
+// Ids fill all 31 bits of the integers that they replace, and the cut is near the greatest.
+TEST(Partition, TheGreatestKeyWordIsCounted) {
+  Scene scene;
+  scene.dims = 1;
+  for (std::int64_t k = 0; k < 3000; ++k) {
+    scene.x[0].push_back(0.5);
+    scene.id.push_back(k == 0 ? 0 : std::numeric_limits<std::int32_t>::max() - 2999 + k);
+  }
+  JudgeOptions asked;
+  asked.parts = 2;
+  asked.part_sizes = {2998, 2};
+  check(scene, asked);
+}
+
 TEST(Partition, BandsHaveOneOrder) {
   std::uint64_t seed = 3 * kPartitionSeed;
   for (const Shape shape : {Shape::uniform, Shape::lattice, Shape::planes, Shape::coincident})
