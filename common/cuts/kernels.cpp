@@ -10,7 +10,7 @@
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "common/cuts/kernels.cpp"
 #include "common/base/highway.hpp"
-//
+// Behind Highway, which it needs.
 #include "common/base/vectors-inl.hpp"
 
 HWY_BEFORE_NAMESPACE();

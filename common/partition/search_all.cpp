@@ -42,8 +42,9 @@ std::optional<ExactScale> note_all(comm::Comm& comm, const particles::ParticleVi
 
 std::optional<PartitionResult> search_all(comm::Comm& comm, const particles::ParticleView& particles,
                                           const PartitionOptions& options, const comm::GoOn& go_on) {
-  PartitionResult result{.tree = uncut_tree(options, particles.dims)};
+  PartitionResult result;
   if (options.parts == 1) {
+    result.tree = uncut_tree(options, particles.dims);
     result.part.resize(particles.count);
     std::ranges::fill(result.part.span(), 0);
     return result;

@@ -44,11 +44,7 @@ OwnShare::OwnShare(std::size_t buckets, int dimensions)
 void OwnShare::grow(const Axes& x, const std::int32_t* bucket, std::uint64_t which) {
   for (; which != 0; which &= which - 1) {
     const std::size_t i = at(std::countr_zero(which));
-    Bounds& own = boxes[at(bucket[i])];
-    for (std::size_t a = 0; a < at(dims); ++a) {
-      own.lo[a] = std::min(own.lo[a], x[a][i]);
-      own.hi[a] = std::max(own.hi[a], x[a][i]);
-    }
+    boxes[at(bucket[i])].extend(at(dims), [&](std::size_t a) { return particles::Range{x[a][i], x[a][i]}; });
   }
 }
 

@@ -39,17 +39,9 @@ std::uint64_t OwnBoxes::hold(const Axes& x, std::uint64_t beyond, const IndexOf&
     bool inside = true;
     for (std::size_t a = 0; a < x.size(); ++a) inside &= (x[a][i] >= inner.lo[a]) & (x[a][i] <= inner.hi[a]);
     out |= std::uint64_t{!inside} << i;
-    if (inside) grow(boxes_[index_of(i)], [&](std::size_t a) { return particles::Range{x[a][i], x[a][i]}; });
+    if (inside) boxes_[index_of(i)].extend(dims_, [&](std::size_t a) { return particles::Range{x[a][i], x[a][i]}; });
   }
   return out;
-}
-
-template <typename RangeOn>
-void OwnBoxes::grow(Bounds& box, const RangeOn& range_on) const {
-  for (std::size_t a = 0; a < dims_; ++a) {
-    box.lo[a] = std::min(box.lo[a], range_on(a).lo);
-    box.hi[a] = std::max(box.hi[a], range_on(a).hi);
-  }
 }
 
 bool OwnBoxes::hold_block(const particles::BlockRanges& ranges, std::size_t block, std::int32_t index) {
@@ -58,7 +50,7 @@ bool OwnBoxes::hold_block(const particles::BlockRanges& ranges, std::size_t bloc
     const particles::Range& own = ranges.of[a][block];
     if (!(own.lo >= inner.lo[a] && own.hi <= inner.hi[a])) return false;
   }
-  grow(boxes_[at(index)], [&](std::size_t a) { return ranges.of[a][block]; });
+  boxes_[at(index)].extend(dims_, [&](std::size_t a) { return ranges.of[a][block]; });
   return true;
 }
 

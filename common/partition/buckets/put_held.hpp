@@ -38,8 +38,6 @@ class OwnBoxes {
  private:
   template <typename IndexOf>
   std::uint64_t hold(const Axes& x, std::uint64_t beyond, const IndexOf& index_of);
-  template <typename RangeOn>
-  void grow(Bounds& box, const RangeOn& range_on) const;
 
   std::int32_t first_;
   std::uint32_t others_;

@@ -57,6 +57,14 @@ struct alignas(64) Bounds {
     std::copy_n(box.hi.begin(), dims, bounds.hi.begin());
     return bounds;
   }
+  // Makes it hold range_on(axis) on the first axes.
+  template <typename RangeOn>
+  void extend(std::size_t dims, const RangeOn& range_on) {
+    for (std::size_t a = 0; a < dims; ++a) {
+      lo[a] = std::min(lo[a], range_on(a).lo);
+      hi[a] = std::max(hi[a], range_on(a).hi);
+    }
+  }
   geometry::Box box(int dims) const {
     geometry::Box box;
     std::copy_n(lo.begin(), dims, box.lo.begin());

@@ -5,7 +5,7 @@
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "common/partition/kernels/kernels.cpp"
 #include "common/base/highway.hpp"
-//
+// Behind Highway, which it needs.
 #include "common/base/vectors-inl.hpp"
 
 HWY_BEFORE_NAMESPACE();

@@ -38,9 +38,8 @@ class PointStore {
   void close(std::size_t bucket);
 
   std::vector<Buffer<QuantisedPoint>> blocks_;
-  std::vector<Tail> tails_;  // [buckets]
-  std::vector<std::vector<Segment>>
-      segments_;  // [buckets], not taken yet; a bucket's last one ends where its tail begins
+  std::vector<Tail> tails_;                     // [buckets]
+  std::vector<std::vector<Segment>> segments_;  // [buckets]; the last one of each ends where its tail begins
   std::size_t block_;
   std::uint64_t base_ = 0;
 };

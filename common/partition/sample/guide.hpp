@@ -20,7 +20,8 @@ struct Guide {
   AxisPlans axes;
   bool split = false;  // there are splitters
 
-  // They are lossless where that is to be found out, only if all are by value.
+  // If all are by value, those that were lossless for the sampled coordinates count as lossless, until a pass over all
+  // particles shows that they aren't (reduce_lossless()). Local.
   AxisMaps maps(int dims) const;
 };
 

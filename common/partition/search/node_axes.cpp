@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "common/base/index.hpp"
+#include "common/partition/balance/bounds.hpp"
 
 namespace rcb::partition {
 
@@ -53,41 +54,39 @@ Extents NodeAxes::extents_of(const Node& node, const geometry::Box& wholes) cons
 }
 
 // Only the points at a bound are looked at.
-void NodeAxes::measure_own(const Node& node, std::span<std::uint64_t> least) {
+geometry::Box NodeAxes::measure_own(const Node& node) {
   const QBounds& bounds = node.points.bounds;
   const auto& where = node.points.one_place.where;
   bool place_read = false;
+  geometry::Box box;
   for (const Segment& segment : node.segments) {
     cost_.bytes += segment.size() * sizeof(QuantisedPoint);
     for (const QuantisedPoint& point : segment.all()) {
       if (where && point.q == *where && std::exchange(place_read, true)) continue;
       for (std::size_t a = 0; a < at(particles_.dims); ++a) {
         if (point.q[a] != bounds.lo[a] && point.q[a] != bounds.hi[a]) continue;
-        const std::uint64_t bits = geometry::order_bits(particles_.position[a][segment.base + point.index]);
-        least[2 * a] = std::min(least[2 * a], bits);
-        least[2 * a + 1] = std::min(least[2 * a + 1], ~bits);
+        const double x = particles_.position[a][segment.base + point.index];
+        box.lo[a] = std::min(box.lo[a], x);
+        box.hi[a] = std::max(box.hi[a], x);
       }
     }
   }
+  return box;
 }
 
 std::vector<Point> NodeAxes::measure(std::span<Node* const> nodes) {
-  const std::size_t words = 2 * at(particles_.dims);
-  std::vector<std::uint64_t> least(nodes.size() * words, ~std::uint64_t{0});
-  for (std::size_t n = 0; n < nodes.size(); ++n) measure_own(*nodes[n], std::span(least).subspan(n * words, words));
-  cost_.reductions += comm::all_min_in_messages(comm_, least);
+  AllMinMax all;
+  for (const Node* node : nodes) all.add(measure_own(*node), particles_.dims);
+  cost_.reductions += all.reduce(comm_);
   std::vector<Point> extents(nodes.size());
   for (std::size_t n = 0; n < nodes.size(); ++n) {
-    const geometry::Box wholes = box_of(buckets_, nodes[n]->wholes);
+    geometry::Box box;
+    all.take(box, particles_.dims);
     bool one_place = nodes[n]->wholes.empty();
-    for (std::size_t a = 0; a < at(particles_.dims); ++a) {
-      const std::uint64_t lo = least[n * words + 2 * a];
-      const std::uint64_t hi = ~least[n * words + 2 * a + 1];
-      one_place = one_place && lo == hi;
-      extents[n][a] = geometry::extent(std::min(geometry::value_of_order_bits(lo), wholes.lo[a]),
-                                       std::max(geometry::value_of_order_bits(hi), wholes.hi[a]));
-    }
+    for (std::size_t a = 0; a < at(particles_.dims); ++a) one_place = one_place && box.lo[a] == box.hi[a];
     nodes[n]->points.one_place.all = one_place;
+    box.extend(box_of(buckets_, nodes[n]->wholes));
+    for (std::size_t a = 0; a < at(particles_.dims); ++a) extents[n][a] = geometry::extent(box.lo[a], box.hi[a]);
   }
   return extents;
 }

@@ -26,7 +26,8 @@ class NodeAxes {
   Extents extents_of(const Node& node, const geometry::Box& wholes) const;
   // The exact extents of these nodes. Collective (one minimum).
   std::vector<Point> measure(std::span<Node* const> nodes);
-  void measure_own(const Node& node, std::span<std::uint64_t> least);
+  // The box of this rank's points, as far as it matters to that of all ranks' ones. Local.
+  geometry::Box measure_own(const Node& node);
 
   comm::Comm& comm_;
   const particles::ParticleView& particles_;

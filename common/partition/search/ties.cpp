@@ -1,4 +1,5 @@
 #include "common/base/check.hpp"
+#include "common/partition/balance/bounds.hpp"
 #include "common/partition/kernels/kernels.hpp"
 #include "common/partition/search/node_state.hpp"
 
@@ -28,16 +29,19 @@ WordRange steps_of(const NodeState& node, std::size_t word) {
 WordRange known_ids(const NodeState& node) {
   SearchContext& context = node.context;
   if (!context.all_ids) {
-    std::array<std::uint64_t, 2> least{kNoValue, kNoValue};
+    std::uint64_t least = kNoValue;
+    std::uint64_t most = 0;
     for (std::size_t i = 0; i < context.particles.count; ++i) {
       const auto id = static_cast<std::uint64_t>(context.particles.id_of(i));
-      least[0] = std::min(least[0], id);
-      least[1] = std::min(least[1], ~id);
+      least = std::min(least, id);
+      most = std::max(most, id);
     }
+    AllMinMax all;
+    all.add(least, most);
     context.cost.bytes += context.particles.count * sizeof(Id);
-    context.comm.all_min(least);
-    ++context.cost.reductions;
-    context.all_ids = {least[0], ~least[1]};
+    context.cost.reductions += all.reduce(context.comm);
+    all.take(least, most);
+    context.all_ids = {least, most};
   }
   const OnePlace& one_place = node.wanted.points.one_place;
   return {std::max((*context.all_ids)[0], static_cast<std::uint64_t>(one_place.id_first)),

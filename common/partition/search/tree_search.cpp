@@ -7,6 +7,7 @@
 
 #include "common/base/check.hpp"
 #include "common/base/index.hpp"
+#include "common/partition/balance/bounds.hpp"
 #include "common/partition/buckets/pass.hpp"
 #include "common/partition/search/cut_search.hpp"
 #include "common/partition/search/node_axes.hpp"
@@ -380,18 +381,18 @@ void TreeSearch::cut_empty(const NodeRange& range) {
 
 // Turns this rank's bounds of these nodes' points into those of all ranks.
 void TreeSearch::reduce_bounds(std::span<Node> nodes) {
-  std::vector<std::uint64_t> least;
+  AllMinMax all;
   for (const Node& node : nodes)
-    for (std::size_t a = 0; a < at(particles_.dims); ++a) {
-      least.push_back(static_cast<std::uint64_t>(node.points.bounds.lo[a]));
-      least.push_back(static_cast<std::uint64_t>(std::int64_t{QBounds::kNone} - node.points.bounds.hi[a]));
-    }
-  cost_.reductions += comm::all_min_in_messages(comm_, least);
-  auto next = least.begin();
+    for (std::size_t a = 0; a < at(particles_.dims); ++a)  // the greatest of no points is -1
+      all.add(static_cast<std::uint64_t>(node.points.bounds.lo[a]), at(node.points.bounds.hi[a] + 1));
+  cost_.reductions += all.reduce(comm_);
   for (Node& node : nodes)
     for (std::size_t a = 0; a < at(particles_.dims); ++a) {
-      node.points.bounds.lo[a] = static_cast<std::int32_t>(*next++);
-      node.points.bounds.hi[a] = static_cast<std::int32_t>(QBounds::kNone - static_cast<std::int64_t>(*next++));
+      std::uint64_t least = 0;
+      std::uint64_t most = 0;
+      all.take(least, most);
+      node.points.bounds.lo[a] = static_cast<std::int32_t>(least);
+      node.points.bounds.hi[a] = static_cast<std::int32_t>(most) - 1;
     }
 }
 
