@@ -6,15 +6,11 @@
 #include <utility>
 
 #include "common/base/index.hpp"
-#include "common/comm/wide_sum.hpp"
-#include "common/partition/buckets/put_held.hpp"
 #include "common/partition/search/tree_search.hpp"
 #include "common/partition/search_all.hpp"
 
 namespace rcb::partition {
 namespace {
-
-constexpr std::size_t kFirstPart = Splitters::kBuckets;  // the bucket of the first part
 
 class Repartitioning {
  public:
@@ -44,8 +40,6 @@ class Repartitioning {
 
  private:
   std::uint64_t most_listed() const { return n_ / options_.partition.tuning.boundary_divisor; }
-  // Sets the loads of the buckets. False if more particles are listed than is worth it. Collective (one sum).
-  bool sum_loads(const OwnShare& own, bool too_many, std::span<Bucket> buckets);
   // Searches the particles near the expected new cuts. False if they are too many. Collective.
   bool search_listed();
   void search_among_all();
@@ -60,36 +54,6 @@ class Repartitioning {
   Repartition result_;
 };
 
-bool Repartitioning::sum_loads(const OwnShare& own, bool too_many, std::span<Bucket> buckets) {
-  std::vector<std::uint64_t> counts{too_many ? 1U : 0U};
-  std::vector<u128> weights;
-  const auto send = [&](const Load& load) {
-    counts.push_back(load.count);
-    if (scale_) weights.push_back(load.weight);
-  };
-  for (std::size_t b = 0; b < kFirstPart; ++b)
-    if (buckets[b].exists()) send(own.loads[b]);
-  for (const Load& left : own.left) send(left);
-  comm_.all_sum(counts);
-  ++result_.cost.reductions;
-  if (scale_) {
-    comm::all_sum_wide(comm_, weights);
-    ++result_.cost.reductions;
-  }
-  std::size_t next = 0;
-  const auto receive = [&] {
-    const u128 weight = scale_ ? weights[next] : 0;
-    return Load{counts[++next], weight};
-  };
-  for (std::size_t b = 0; b < kFirstPart; ++b) {
-    if (buckets[b].exists()) buckets[b].load = receive();
-    result_.cost.searched += buckets[b].load.count;
-  }
-  for (std::size_t p = 0; p < own.left.size(); ++p)
-    buckets[kFirstPart + p].load = Load{current_.loads.counts[p], current_.loads.loads[p]} - receive();
-  return counts[0] == 0 && result_.cost.searched <= most_listed();
-}
-
 bool Repartitioning::search_listed() {
   const PartitionOptions& options = options_.partition;
   const GuideFromCuts guide = guide_from_cuts(comm_, particles_, current_, n_, options, result_.cost);
@@ -101,27 +65,25 @@ bool Repartitioning::search_listed() {
   const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());
   const std::uint64_t most = std::max<std::uint64_t>(particles_.count, mean) / options.tuning.boundary_divisor;
   const OwnShare own = put.run(most);
-  if (!sum_loads(own, put.listed().count() > most, buckets)) return false;
+  const std::vector<Load> left = sum_loads(comm_, own, scale_.has_value(), buckets, result_.cost);
+  if (left.back().count > 0 || result_.cost.searched > most_listed()) return false;
+  for (std::size_t p = 0; p < at(options.parts); ++p)
+    buckets[Splitters::kBuckets + p].load = Load{current_.loads.counts[p], current_.loads.loads[p]} - left[p];
   reduce_boxes(comm_, own, buckets, result_.cost);
   note_boxes(buckets, maps, particles_.dims);
   if (may_be_lossless(maps, particles_.dims)) reduce_lossless(comm_, own.lossless, maps, particles_.dims, result_.cost);
-  const auto make = [&](std::span<const std::int32_t> wanted) {
+  const auto make = [&](std::span<const std::int32_t> wholes) {
     if (options_.before_search_of_all) options_.before_search_of_all();
-    return put.make(wanted);
+    return put.make(wholes);
   };
   const SearchStart start{buckets, maps, scale_, points, make, most_listed()};
   std::optional<TreeFound> tree = TreeSearch(comm_, particles_, options, start, result_.cost).find({});
   if (!tree) return false;
   TreeFound& found = *tree;
-  std::vector<std::int32_t> moved(at(options.parts));
-  bool any_moved = false;
-  for (std::size_t p = 0; p < moved.size(); ++p) {
-    const std::int32_t to = found.part_of_bucket[kFirstPart + p];
-    moved[p] = to < 0 ? static_cast<std::int32_t>(p) : to;
-    any_moved |= moved[p] != static_cast<std::int32_t>(p);
-  }
-  if (any_moved) put.list_moved(moved);
-  result_.delta = put.listed().changes(current_.part, moved, found.points);
+  for (std::size_t b = 0; b < Splitters::kBuckets; ++b)
+    for (const Segment& segment : points.take(b))
+      found.points.push_back({segment.all(), segment.base, found.part_of_bucket[b]});
+  result_.delta = put.changes(found.part_of_bucket, found.points);
   result_.cost.searched += found.opened;
   result_.tree = std::move(found.tree);
   if (!scale_) counts_ = std::move(found.counts);
@@ -141,15 +103,13 @@ void Repartitioning::search_among_all() {
   std::size_t changed = 0;
   for (std::size_t i = 0; i < before.size(); ++i) changed += found.part[i] == before[i] ? 0U : 1U;
   PartDelta& delta = result_.delta;
-  delta.slot.resize(changed + 1);  // what hasn't changed is written behind the last, too
-  delta.part.resize(changed + 1);
+  delta.resize(changed + 1);  // what hasn't changed is written behind the last, too
   for (std::size_t i = 0, told = 0; i < before.size(); ++i) {
     delta.slot[told] = i;
     delta.part[told] = found.part[i];
     told += found.part[i] == before[i] ? 0U : 1U;
   }
-  delta.slot.resize(changed);
-  delta.part.resize(changed);
+  delta.resize(changed);
   result_.tree = std::move(found.tree);
   if (!scale_) counts_ = std::move(found.counts);
 }

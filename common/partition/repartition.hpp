@@ -8,8 +8,7 @@
 
 #include <functional>
 
-#include "common/partition/buckets/listed.hpp"
-#include "common/partition/sample/guide_from_cuts.hpp"
+#include "common/partition/buckets/put_held.hpp"
 
 namespace rcb::partition {
 

@@ -155,8 +155,7 @@ partition::Tuning tuning_of(const RandomScene& from) {
                      .per_part_min = 0,
                      .stride = 1 + code % 5,
                      .sample_min = 1 + code % 3,
-                     .sample_max = ~std::uint64_t{0},
-                     .overhang = 0};
+                     .sample_max = ~std::uint64_t{0}};
     tuning.bracket_sigmas = code % 8 == 0 ? 1 : 0;
     tuning.bracket_margin = code % 7 == 0 ? 1 : 0;
   }

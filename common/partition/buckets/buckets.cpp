@@ -3,6 +3,7 @@
 #include <bit>
 
 #include "common/base/index.hpp"
+#include "common/comm/wide_sum.hpp"
 #include "common/partition/balance/bounds.hpp"
 
 namespace rcb::partition {
@@ -46,6 +47,31 @@ void OwnShare::grow(const Axes& x, const std::int32_t* bucket, std::uint64_t whi
     const std::size_t i = at(std::countr_zero(which));
     boxes[at(bucket[i])].extend(at(dims), [&](std::size_t a) { return particles::Range{x[a][i], x[a][i]}; });
   }
+}
+
+std::vector<Load> sum_loads(comm::Comm& comm, const OwnShare& own, bool weighted, std::span<Bucket> buckets,
+                            SearchCost& cost) {
+  const std::span<Bucket> of_splitters = buckets.first(Splitters::kBuckets);
+  std::vector<std::uint64_t> counts;
+  std::vector<u128> weights;
+  const auto send = [&](const Load& load) {
+    counts.push_back(load.count);
+    if (weighted) weights.push_back(load.weight);
+  };
+  for (std::size_t b = 0; b < of_splitters.size(); ++b) send(own.loads[b]);
+  for (const Load& load : own.left) send(load);
+  comm.all_sum(counts);
+  if (weighted) comm::all_sum_wide(comm, weights);
+  cost.reductions += weighted ? 2 : 1;
+  std::size_t next = 0;
+  const auto receive = [&] {
+    const u128 weight = weighted ? weights[next] : 0;
+    return Load{counts[next++], weight};
+  };
+  for (Bucket& bucket : of_splitters) cost.searched += (bucket.load = receive()).count;
+  std::vector<Load> left(own.left.size());
+  for (Load& load : left) load = receive();
+  return left;
 }
 
 void reduce_boxes(comm::Comm& comm, const OwnShare& own, std::span<Bucket> buckets, SearchCost& cost) {

@@ -47,12 +47,19 @@ struct OwnShare {
   int dims;
   std::vector<Bounds> boxes;  // [buckets]
   std::vector<Load> loads;    // [buckets]
-  std::vector<Load> left;     // [parts], where cuts are in force: of the particles that aren't expected to stay
+  // Where cuts are in force, of the particles that aren't expected to stay: [parts]; then, as a count, whether the pass
+  // was given up.
+  std::vector<Load> left;
   Lossless lossless;
 };
 
 // A bound of no particle.
 Bounds no_bounds(int dims);
+
+// Sets the loads of the splitters' buckets; returns the sum of `left` over all ranks. Collective (one sum; with weights
+// two).
+std::vector<Load> sum_loads(comm::Comm& comm, const OwnShare& own, bool weighted, std::span<Bucket> buckets,
+                            SearchCost& cost);
 
 // Sets the boxes of the buckets. Collective (one minimum).
 void reduce_boxes(comm::Comm& comm, const OwnShare& own, std::span<Bucket> buckets, SearchCost& cost);

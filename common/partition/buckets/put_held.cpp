@@ -7,57 +7,6 @@
 
 namespace rcb::partition {
 
-OwnBoxes::OwnBoxes(OwnParts own, std::span<const geometry::Box> inner, int dims)
-    : first_(own.first),
-      others_(static_cast<std::uint32_t>(inner.size())),
-      dims_(at(dims)),
-      inner_(inner.size() + 1, no_bounds(dims)),
-      boxes_(inner.size() + 1, no_bounds(dims)) {
-  for (std::size_t p = 0; p < inner.size(); ++p)
-    for (std::size_t a = 0; a < dims_; ++a) {
-      inner_[p].lo[a] = std::nextafter(inner[p].lo[a], Bounds::kInfinity);
-      inner_[p].hi[a] = std::nextafter(inner[p].hi[a], -Bounds::kInfinity);
-    }
-}
-
-std::uint64_t OwnBoxes::not_held(const Axes& x, const BucketsOfBlock& index) {
-  const std::uint64_t beyond = kernels().outside_own(x, index.data(), boxes_.data());
-  return hold(x, beyond, [&](std::size_t i) { return at(index[i]); });
-}
-
-std::uint64_t OwnBoxes::not_held(const Axes& x, std::int32_t index) {
-  return hold(x, kernels().outside(x, boxes_[at(index)]), [own = at(index)](std::size_t) { return own; });
-}
-
-// Those in their inner region make the box grow; returns the others. Mostly `beyond` are few.
-template <typename IndexOf>
-std::uint64_t OwnBoxes::hold(const Axes& x, std::uint64_t beyond, const IndexOf& index_of) {
-  std::uint64_t out = 0;
-  for (; beyond != 0; beyond &= beyond - 1) {
-    const auto i = at(std::countr_zero(beyond));
-    const Bounds& inner = inner_[index_of(i)];
-    bool inside = true;
-    for (std::size_t a = 0; a < x.size(); ++a) inside &= (x[a][i] >= inner.lo[a]) & (x[a][i] <= inner.hi[a]);
-    out |= std::uint64_t{!inside} << i;
-    if (inside) boxes_[index_of(i)].extend(dims_, [&](std::size_t a) { return particles::Range{x[a][i], x[a][i]}; });
-  }
-  return out;
-}
-
-bool OwnBoxes::hold_block(const particles::BlockRanges& ranges, std::size_t block, std::int32_t index) {
-  const Bounds& inner = inner_[at(index)];
-  for (std::size_t a = 0; a < dims_; ++a) {
-    const particles::Range& own = ranges.of[a][block];
-    if (!(own.lo >= inner.lo[a] && own.hi <= inner.hi[a])) return false;
-  }
-  boxes_[at(index)].extend(dims_, [&](std::size_t a) { return ranges.of[a][block]; });
-  return true;
-}
-
-void OwnBoxes::copy_to(std::span<Bounds> boxes_of_parts) const {
-  std::copy_n(boxes_.begin(), others_, boxes_of_parts.begin() + first_);
-}
-
 PutHeld::PutHeld(const particles::ParticleView& particles, const CurrentPartition& current, const GuideFromCuts& guide,
                  const AxisMaps& maps, const std::optional<ExactScale>& scale, const Tuning& tuning, PointStore& points)
     : particles_(particles),
@@ -67,38 +16,70 @@ PutHeld::PutHeld(const particles::ParticleView& particles, const CurrentPartitio
       scale_(scale),
       tuning_(tuning),
       points_(points),
-      listed_(particles.count) {}
+      listed_(particles::blocks_of(particles.count)) {
+  for (const geometry::Box& region : guide.inner) {
+    Bounds& inner = inner_.emplace_back(Bounds::of(region, particles.dims));
+    for (std::size_t a = 0; a < at(particles.dims); ++a) {
+      inner.lo[a] = std::nextafter(inner.lo[a], Bounds::kInfinity);
+      inner.hi[a] = std::nextafter(inner.hi[a], -Bounds::kInfinity);
+    }
+  }
+}
+
+void PutHeld::list(std::size_t first, std::uint64_t which) {
+  listed_[first / kBlock] |= which;
+  count_ += at(std::popcount(which));
+}
+
+bool PutHeld::block_is_held(std::size_t first, std::int32_t part, Bounds& box) const {
+  if (current_.blocks == nullptr) return false;
+  const auto range_on = [&](std::size_t a) { return current_.blocks->of[a][first / kBlock]; };
+  const Bounds& inner = inner_[at(part)];
+  for (std::size_t a = 0; a < at(particles_.dims); ++a)
+    if (!(range_on(a).lo >= inner.lo[a] && range_on(a).hi <= inner.hi[a])) return false;
+  box.extend(at(particles_.dims), range_on);
+  return true;
+}
+
+std::uint64_t PutHeld::not_held(std::size_t first, Blocks& blocks, std::span<Bounds> boxes) const {
+  const std::int32_t* const part = current_.part.data() + first;
+  BucketsOfBlock own;
+  own.fill(part[0]);
+  std::copy_n(part, size_of_block(first), own.begin());
+  std::int32_t other = 0;
+  for (const std::int32_t p : own) other |= p ^ part[0];
+  const bool one_part = other == 0;
+  if (one_part && block_is_held(first, part[0], boxes[at(part[0])])) return 0;
+  const Axes& x = blocks.read(first);
+  std::uint64_t beyond =
+      one_part ? kernels().outside(x, boxes[at(part[0])]) : kernels().outside_own(x, own.data(), boxes.data());
+  std::uint64_t out = 0;
+  for (; beyond != 0; beyond &= beyond - 1) {  // mostly few
+    const auto i = at(std::countr_zero(beyond));
+    const Bounds& inner = inner_[at(own[i])];
+    bool inside = true;
+    for (std::size_t a = 0; a < x.size(); ++a) inside &= (x[a][i] >= inner.lo[a]) & (x[a][i] <= inner.hi[a]);
+    out |= std::uint64_t{!inside} << i;
+    if (inside)
+      boxes[at(own[i])].extend(at(particles_.dims), [&](std::size_t a) { return particles::Range{x[a][i], x[a][i]}; });
+  }
+  return out;
+}
 
 OwnShare PutHeld::run(std::size_t most) {
   const std::size_t parts = at(current_.tree.parts);
   OwnShare own(Splitters::kBuckets + parts, particles_.dims);
-  own.left.resize(parts);
-  OwnBoxes boxes(current_.own, guide_.inner, particles_.dims);
+  own.left.resize(parts + 1);
   const WalkTables tables(guide_.guide.splitters);
-  BucketsOfBlock index{};
-  // Those of a block that aren't held.
-  const auto not_held = [&](std::size_t first, Blocks& blocks) {
-    const std::int32_t* const part = current_.part.data() + first;
-    const std::size_t count = std::min(kBlock, particles_.count - first);
-    std::int32_t other = 0;
-    for (std::size_t i = 0; i < count; ++i) other |= part[i] ^ part[0];
-    if (other == 0) {
-      const std::int32_t own_index = boxes.index_of(part[0]);
-      if (current_.blocks != nullptr && boxes.hold_block(*current_.blocks, first / kBlock, own_index))
-        return std::uint64_t{0};
-      return boxes.not_held(blocks.read(first), own_index);
-    }
-    index.fill(boxes.index_of(part[0]));
-    for (std::size_t i = 0; i < count; ++i) index[i] = boxes.index_of(part[i]);
-    return boxes.not_held(blocks.read(first), index);
-  };
+  const std::span<Bounds> boxes = std::span(own.boxes).subspan(Splitters::kBuckets);
   Blocks some(particles_);
   // Where ranges are known, blocks that are held as a whole soon make the boxes grow.
-  if (current_.blocks == nullptr) for_seeds(particles_.count, [&](std::size_t first) { (void)not_held(first, some); });
+  if (current_.blocks == nullptr)
+    for_seeds(particles_.count, [&](std::size_t first) { (void)not_held(first, some, boxes); });
   const auto choose = [&](std::size_t first, Blocks& blocks, BucketsOfBlock&) {
-    if (listed_.count() > most) return std::uint64_t{0};
-    const std::uint64_t which = not_held(first, blocks) & blocks.present(first);
-    if (which != 0) listed_.add(first / kBlock, which);
+    if (count_ > most) return std::uint64_t{0};
+    const std::uint64_t which = not_held(first, blocks, boxes) & blocks.present(first);
+    if (which != 0) list(first, which);
     return which;
   };
   const auto place = [&](const Axes& x, const std::uint32_t* own_index, std::int32_t* bucket, std::uint64_t which) {
@@ -113,38 +94,77 @@ OwnShare PutHeld::run(std::size_t most) {
     }
   };
   own.lossless = make_points(particles_, maps_, tuning_, points_, choose, place);
-  boxes.copy_to(std::span(own.boxes).subspan(Splitters::kBuckets));
+  own.left[parts].count = count_ > most ? 1 : 0;
   return own;
 }
 
-Lossless PutHeld::make(std::span<const std::int32_t> wanted) {
+Lossless PutHeld::make(std::span<const std::int32_t> buckets) {
   std::vector<std::uint8_t> is_wanted(at(current_.tree.parts), 0);
-  for (const std::int32_t b : wanted) is_wanted[at(b) - Splitters::kBuckets] = 1;
+  for (const std::int32_t b : buckets) is_wanted[at(b) - Splitters::kBuckets] = 1;
   const auto choose = [&](std::size_t first, Blocks& blocks, BucketsOfBlock& bucket) {
     std::uint64_t which = 0;
-    for (std::size_t i = 0; i < std::min(kBlock, particles_.count - first); ++i) {
+    for (std::size_t i = 0; i < size_of_block(first); ++i) {
       const std::int32_t part = current_.part[first + i];
       which |= std::uint64_t{is_wanted[at(part)]} << i;
       bucket[i] = part + static_cast<std::int32_t>(Splitters::kBuckets);
     }
-    which &= ~listed_.of_block(first / kBlock);
+    which &= ~listed_[first / kBlock];
     if (which == 0) return which;
     blocks.read(first);
-    listed_.add(first / kBlock, which);
+    list(first, which);
     return which;
   };
   return make_points(particles_, maps_, tuning_, points_, choose, [](auto&&...) {});
 }
 
-void PutHeld::list_moved(std::span<const std::int32_t> moved) {
-  for (std::size_t first = 0; first < particles_.count; first += kBlock) {
+PartDelta PutHeld::changes(std::span<const std::int32_t> part_of_bucket, std::span<const PointsOfPart> of_points) {
+  // The new parts of particles that stayed held: mostly all keep theirs.
+  std::vector<std::int32_t> moved(at(current_.tree.parts));
+  bool any_moved = false;
+  for (std::size_t p = 0; p < moved.size(); ++p) {
+    const std::int32_t to = part_of_bucket[Splitters::kBuckets + p];
+    moved[p] = to < 0 ? static_cast<std::int32_t>(p) : to;
+    any_moved |= at(moved[p]) != p;
+  }
+  for (std::size_t first = 0; first < particles_.count && any_moved; first += kBlock) {
     std::uint64_t which = 0;
-    for (std::size_t i = 0; i < std::min(kBlock, particles_.count - first); ++i) {
+    for (std::size_t i = 0; i < size_of_block(first); ++i) {
       const std::int32_t part = current_.part[first + i];
       which |= std::uint64_t{moved[at(part)] != part} << i;
     }
-    listed_.add(first / kBlock, which & ~listed_.of_block(first / kBlock));
+    list(first, which & ~listed_[first / kBlock]);
   }
+  const auto for_listed = [&](const auto& visit) {
+    for (std::size_t b = 0; b < listed_.size(); ++b)
+      for (std::uint64_t left = listed_[b]; left != 0; left &= left - 1) visit(b * kBlock + at(std::countr_zero(left)));
+  };
+  // Their new parts in the order of their slots, of which the points know nothing.
+  Buffer<std::int32_t> now(count_);
+  std::vector<std::uint64_t> before;  // how many stand before each block
+  std::size_t listed = 0;
+  for (const std::uint64_t block : listed_) {
+    before.push_back(listed);
+    listed += at(std::popcount(block));
+  }
+  listed = 0;
+  for_listed([&](std::size_t slot) { now[listed++] = moved[at(current_.part[slot])]; });
+  for (const PointsOfPart& own : of_points)
+    for (const QuantisedPoint& point : own.points) {
+      const std::size_t slot = own.base + point.index;
+      const std::uint64_t below = listed_[slot / kBlock] & ((std::uint64_t{1} << (slot % kBlock)) - 1);
+      now[before[slot / kBlock] + at(std::popcount(below))] = own.part;
+    }
+  PartDelta delta;
+  delta.resize(count_ + 1);  // what hasn't changed is written behind the last, too: without a branch
+  std::size_t told = 0;
+  listed = 0;
+  for_listed([&](std::size_t slot) {
+    delta.slot[told] = slot;
+    delta.part[told] = now[listed++];
+    told += delta.part[told] == current_.part[slot] ? 0U : 1U;
+  });
+  delta.resize(told);
+  return delta;
 }
 
 }  // namespace rcb::partition

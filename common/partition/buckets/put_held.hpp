@@ -10,40 +10,20 @@
 #include <optional>
 #include <span>
 
-#include "common/partition/buckets/listed.hpp"
 #include "common/partition/buckets/pass.hpp"
 #include "common/partition/sample/guide_from_cuts.hpp"
 
 namespace rcb::partition {
 
-// The boxes of a rank's own parts. Parts of other ranks share the last one, which stays empty.
-class OwnBoxes {
- public:
-  // inner: [own parts] inner regions, open boxes
-  OwnBoxes(OwnParts own, std::span<const geometry::Box> inner, int dims);
+// Local particles whose part changes.
+struct PartDelta {
+  Buffer<std::uint64_t> slot;  // ascending
+  Buffer<std::int32_t> part;   // the new one
 
-  // Among these boxes. As an unsigned number a part below the first one is great, too: another rank's.
-  std::int32_t index_of(std::int32_t part) const {
-    return static_cast<std::int32_t>(std::min(static_cast<std::uint32_t>(part - first_), others_));
+  void resize(std::size_t count) {
+    slot.resize(count);
+    part.resize(count);
   }
-  // Of a block whose particles have these indices, or all this one, those that aren't held; the boxes grow with the
-  // others.
-  std::uint64_t not_held(const Axes& x, const BucketsOfBlock& index);
-  std::uint64_t not_held(const Axes& x, std::int32_t index);
-  // True if these ranges show that all particles of a block are held; then the box grows by the block.
-  bool hold_block(const particles::BlockRanges& ranges, std::size_t block, std::int32_t index);
-  // Sets boxes[first own part ...]
-  void copy_to(std::span<Bounds> boxes_of_parts) const;
-
- private:
-  template <typename IndexOf>
-  std::uint64_t hold(const Axes& x, std::uint64_t beyond, const IndexOf& index_of);
-
-  std::int32_t first_;
-  std::uint32_t others_;
-  std::size_t dims_;
-  std::vector<Bounds> inner_;  // [own parts + 1], closed
-  std::vector<Bounds> boxes_;  // [own parts + 1]
 };
 
 class PutHeld {
@@ -57,12 +37,18 @@ class PutHeld {
   OwnShare run(std::size_t most);
   // Makes the points of these buckets, which are parts, and lists their particles; returns what it learns of the maps.
   // Local.
-  Lossless make(std::span<const std::int32_t> wanted);
-  // Lists all particles of parts that `moved` gives another part. Local.
-  void list_moved(std::span<const std::int32_t> moved);
-  const Listed& listed() const { return listed_; }
+  Lossless make(std::span<const std::int32_t> buckets);
+  // Which particles change their part, once each bucket's part is known (negative: its points tell). Local.
+  PartDelta changes(std::span<const std::int32_t> part_of_bucket, std::span<const PointsOfPart> of_points);
 
  private:
+  // Those of a block that aren't held; the boxes of parts grow by the others.
+  std::uint64_t not_held(std::size_t first, Blocks& blocks, std::span<Bounds> boxes) const;
+  bool block_is_held(std::size_t first, std::int32_t part, Bounds& box) const;
+  std::size_t size_of_block(std::size_t first) const { return std::min(kBlock, particles_.count - first); }
+  // Lists particles of a block that aren't listed yet.
+  void list(std::size_t first, std::uint64_t which);
+
   const particles::ParticleView& particles_;
   const CurrentPartition& current_;
   const GuideFromCuts& guide_;
@@ -70,7 +56,9 @@ class PutHeld {
   const std::optional<ExactScale>& scale_;
   const Tuning& tuning_;
   PointStore& points_;
-  Listed listed_;
+  std::vector<Bounds> inner_;          // [parts] the inner regions, as closed boxes
+  std::vector<std::uint64_t> listed_;  // [blocks] a bit for each particle
+  std::size_t count_ = 0;              // of those listed
 };
 
 }  // namespace rcb::partition

@@ -80,11 +80,8 @@ struct RoundedAxes {
   geometry::Point origin{};
   geometry::Point scale{1, 1, 1};
 
-  // Makes floats tell these coordinates apart as well as they can: they are densest at 0.
-  void fit(std::size_t axis, std::span<const double> x) {
-    double lo = std::numeric_limits<double>::infinity();
-    double hi = -lo;
-    geometry::least_and_most(x, lo, hi);
+  // Makes floats tell coordinates from lo to hi apart as well as they can: they are densest at 0.
+  void fit(std::size_t axis, double lo, double hi) {
     if (lo > hi) return;
     origin[axis] = std::clamp(0.0, lo, hi);
     const double reach = std::max(hi * 0.5 - origin[axis] * 0.5, origin[axis] * 0.5 - lo * 0.5);

@@ -81,36 +81,31 @@ AxisMap AxisPlan::map() const {
   return by_order_bits ? AxisMap::by_order_bits(lo, hi) : AxisMap::by_value(lo, hi);
 }
 
-void MapTrial::add(double lo, double hi, std::span<const double> coordinates) {
-  const auto count = [&](const AxisMap& map, std::array<std::uint64_t, kBins>& bins) {
+AxisPlan plan_axis(double lo, double hi, std::span<const double> some) {
+  if (lo > hi) return {};
+  constexpr std::size_t kBins = 512;
+  const auto fullest = [&](const AxisMap& map) {
+    std::array<std::size_t, kBins> bins{};
     const auto top = static_cast<std::uint64_t>(std::max(map(hi), 1));
-    for (const double x : coordinates) ++bins[static_cast<std::uint64_t>(map(x)) * (kBins - 1) / top];
+    for (const double x : some) ++bins[static_cast<std::uint64_t>(map(x)) * (kBins - 1) / top];
+    return std::ranges::max(bins);
   };
-  const AxisMap map = AxisMap::by_value(lo, hi);
-  count(map, by_value);
-  count(AxisMap::by_order_bits(lo, hi), by_order_bits);
-  if (map.linear() && !keeps_all(map, coordinates)) ++lossy;
-}
-
-AxisPlan plan_axis(double lo, double hi, const MapTrial& trial) {
   AxisPlan plan{.lo = lo, .hi = hi};
-  plan.by_order_bits = std::ranges::max(trial.by_value) > 2 * std::ranges::max(trial.by_order_bits);
-  plan.maybe_lossless = plan.map().linear() && trial.lossy == 0;
+  plan.by_order_bits = fullest(AxisMap::by_value(lo, hi)) > 2 * fullest(AxisMap::by_order_bits(lo, hi));
+  plan.maybe_lossless = plan.map().linear() && keeps_all(plan.map(), some);
   return plan;
 }
 
-AxisPlan plan_sampled_axis(double lo, double hi, std::span<const double> coordinates) {
-  if (lo > hi) return {};
-  MapTrial trial;
-  trial.add(lo, hi, coordinates);
-  AxisPlan plan = plan_axis(lo, hi, trial);
+AxisPlan plan_sampled_axis(double lo, double hi, std::span<const double> some) {
+  AxisPlan plan = plan_axis(lo, hi, some);
+  if (lo > hi) return plan;
   if (plan.map().linear()) {
     const double half = geometry::extent(lo, hi);
     // A multiple of a coarse power of two, so that lattices become integers with many trailing zeros.
     const double grid = std::ldexp(1.0, std::ilogb(half) - 1);
     plan.lo = std::max(std::floor((lo - half) / grid) * grid, Limits::lowest());
     plan.hi = std::min(hi + half, Limits::max());
-    plan.maybe_lossless = keeps_all(plan.map(), coordinates);
+    plan.maybe_lossless = keeps_all(plan.map(), some);
     return plan;
   }
   // By at least one step, so that particles beyond a plane don't share its integer.

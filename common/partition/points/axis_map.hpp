@@ -99,23 +99,10 @@ struct AxisPlan {
   AxisMap map() const;
 };
 
-// How some coordinates fill equal steps of the value and of the order-preserving bits. Those of several ranks add up,
-// word by word.
-struct MapTrial {
-  static constexpr std::size_t kBins = 512;
-  std::array<std::uint64_t, kBins> by_value{};
-  std::array<std::uint64_t, kBins> by_order_bits{};
-  std::uint64_t lossy = 0;  // how many add() of coordinates of which a map by value would lose some
-
-  // The maps' range is [lo, hi].
-  void add(double lo, double hi, std::span<const double> coordinates);
-};
-
-// The plan for coordinates in [lo, hi] of which some were tried. Where equal steps of the value put most of them into
+// The plan for coordinates in [lo, hi], of which these are some. Where equal steps of the value put most of them into
 // one bin and equal steps of the order-preserving bits don't, the latter suit the axis (many decades of scale). Local.
-AxisPlan plan_axis(double lo, double hi, const MapTrial& trial);
-// The plan for coordinates of which only a sample is known: some of it, and the sample's range. Its range is wider by
-// half on either side. Local.
-AxisPlan plan_sampled_axis(double lo, double hi, std::span<const double> coordinates);
+AxisPlan plan_axis(double lo, double hi, std::span<const double> some);
+// The same where [lo, hi] is the range of a sample only: the plan's range is wider by half on either side. Local.
+AxisPlan plan_sampled_axis(double lo, double hi, std::span<const double> some);
 
 }  // namespace rcb::partition

@@ -39,4 +39,11 @@ struct Segment {
   std::span<QuantisedPoint> undecided() const { return {middle, upper}; }
 };
 
+// Points that all end in one part.
+struct PointsOfPart {
+  std::span<const QuantisedPoint> points;
+  std::uint64_t base;  // as a segment's
+  std::int32_t part;
+};
+
 }  // namespace rcb::partition

@@ -17,9 +17,6 @@ struct SampleTuning {
   std::uint64_t stride = 128;  // one particle of so many is sampled, if sample_min and sample_max allow
   std::uint64_t sample_min = 8192;
   std::uint64_t sample_max = 32768;
-  // The particles are assumed to reach beyond the sampled ones by at most so many times the distance from the outermost
-  // sampled one to the ninth, on either side.
-  double overhang = 3;
 };
 
 // How many particles a repartition samples: so many a part, within these limits.

@@ -15,30 +15,30 @@ namespace {
 // Tells how many of a node's sampled particles are expected below its new cut.
 class NewCuts {
  public:
-  NewCuts(const CurrentPartition& current, const PartitionOptions& options, const SortedSample& sample)
-      : tree_(current.tree), rule_(options, tree_.dims), sample_(sample) {
+  NewCuts(const CurrentPartition& current, const PartitionOptions& options, std::span<const SampledParticle> sample)
+      : tree_(current.tree), rule_(options, tree_.dims) {
     for (const u128 load : current.loads.loads) load_.push_back(load_.back() + static_cast<double>(load));
     sampled_.assign(at(tree_.parts) + 1, 0);
-    for (const std::int32_t part : sample.sample().part) ++sampled_[at(part) + 1];
+    for (const SampledParticle& own : sample) ++sampled_[at(own.part) + 1];
     std::partial_sum(sampled_.begin(), sampled_.end(), sampled_.begin());
-    load_of_one_ = load_.back() / static_cast<double>(sample.all().size());
+    load_of_one_ = load_.back() / static_cast<double>(sample.size());
   }
 
   // nullopt: not known.
-  std::optional<SampledCut> operator()(const NodeRange& range, const SortedSample::Range& own) const {
+  std::optional<SampledCut> operator()(const NodeRange& range, Sample own) const {
     const Cut& cut = tree_.cuts[at(range.node)];
-    if (cut.right_empty || own.size() == 0 || !(load_of_one_ > 0)) return std::nullopt;
-    const auto axis = at(cut.axes[0]);
-    const std::size_t below = sample_.below(own, axis, cut.key.at[0]);
+    if (cut.right_empty || own.empty() || !(load_of_one_ > 0)) return std::nullopt;
     // The load below the old cut is that of the left parts, plus what the node has gained there, minus what they have
     // lost, both estimated from the sample.
+    std::size_t below = 0;
     std::size_t gained = 0;
     std::size_t stayed = 0;
-    for (std::size_t k = 0; k < own.size(); ++k) {  // without branches: which it is can't be predicted
-      const std::int32_t part = sample_.sample().part[sample_.index(own, axis, k)];
-      const bool mine = (part >= range.first) & (part < range.last);
-      stayed += mine & (part < range.middle()) ? 1U : 0U;
-      gained += !mine & (k < below) ? 1U : 0U;
+    for (const SampledParticle& one : own) {  // without branches: which it is can't be predicted
+      const bool is_below = cuts::key_of(one.x, 0, cut.axes, tree_.dims) < cut.key;
+      const bool mine = (one.part >= range.first) & (one.part < range.last);
+      below += is_below ? 1U : 0U;
+      stayed += mine & (one.part < range.middle()) ? 1U : 0U;
+      gained += !mine & is_below ? 1U : 0U;
     }
     const auto lost = static_cast<double>(sampled_[at(range.middle())] - sampled_[at(range.first)] - stayed);
     const double had = load_[at(range.middle())] - load_[at(range.first)];
@@ -47,26 +47,25 @@ class NewCuts {
     const double moved = static_cast<double>(gained) - lost;
     const double excess = (had - wanted) / load_of_one_ + moved;
     const double uncertain = std::abs(excess) + static_cast<double>(gained) + lost;
-    return SampledCut{cut.axes[0], static_cast<double>(below) - excess, std::sqrt(uncertain)};
+    return SampledCut{cut.axes, static_cast<double>(below) - excess, std::sqrt(uncertain)};
   }
 
  private:
   const CutTree& tree_;
   SplitRule rule_;
-  const SortedSample& sample_;
   std::vector<double> load_{0.0};     // of the parts below
   std::vector<std::size_t> sampled_;  // of the parts below
   double load_of_one_ = 0;            // what a sampled particle stands for
 };
 
-// The boxes that all brackets together leave for these parts.
-std::vector<geometry::Box> inner_regions(CutTree tree, OwnParts own, std::span<const Bracket> brackets) {
+// The boxes that all brackets together leave for the parts.
+std::vector<geometry::Box> inner_regions(CutTree tree, std::span<const Bracket> brackets) {
   const auto regions_with_cuts_at = [&](double Bracket::*end) {
     for (std::size_t k = 0; k < tree.cuts.size(); ++k) {
       tree.cuts[k].right_empty = false;
       tree.cuts[k].key.at[0] = brackets[k].*end;
     }
-    return tree.regions(own.first, own.last);
+    return tree.regions(0, tree.parts);
   };
   std::vector<geometry::Box> inner = regions_with_cuts_at(&Bracket::least);
   const std::vector<geometry::Box> beyond = regions_with_cuts_at(&Bracket::most);
@@ -84,32 +83,29 @@ GuideFromCuts guide_from_cuts(comm::Comm& comm, const particles::ParticleView& p
   const std::uint64_t wanted =
       std::clamp(tuning.per_part * static_cast<std::uint64_t>(tree.parts), tuning.min, tuning.max);
   const std::vector<std::size_t> slots = sampled_slots(particles.count, std::max<std::uint64_t>(count / wanted, 1));
-  const Sample sample = gather_sample(comm, particles, slots, current.part);
-  // The message: the guide, then the brackets of all cuts.
+  Buffer<SampledParticle> sample = gather_sample(comm, particles, slots, current.part);
+  GuideFromCuts found;
+  // One message: the guide, then the brackets of all cuts.
   constexpr std::size_t kGuide = (sizeof(Guide) + sizeof(Bracket) - 1) / sizeof(Bracket);
   std::vector<Bracket> message;
   // With more ranks than cores, copies of the same work would take longer than the rest.
   if (comm.rank() == 0) {
     message.resize(kGuide + tree.cuts.size());
-    SortedSample sorted(sample);
-    Guide guide{.splitters = {.nodes = {}, .rounded = sorted.rounded()}, .axes = plan_axes(sorted), .split = true};
-    const NewCuts new_cut(current, options, sorted);
-    cut_sample(sorted, tree.root(), 0, sorted.all(),
-               [&](const NodeRange& range, std::size_t heap, const SortedSample::Range& own) {
-                 const std::optional<SampledCut> cut = new_cut(range, own);
-                 Bracket& bracket = message[kGuide + at(range.node)];
-                 if (cut) bracket = bracket_of(sorted, own, *cut, options.tuning);
-                 if (heap < Splitters::kNodes)
-                   guide.splitters.nodes[heap] = {bracket.least, bracket.most, tree.cuts[at(range.node)].axes[0]};
-                 return cut;
-               });
-    std::memcpy(static_cast<void*>(message.data()), &guide, sizeof(Guide));
+    found.guide = Guide::of_sample(sample.span(), box_of(sample.span(), tree.dims), tree.dims);
+    const NewCuts new_cut(current, options, sample.span());
+    cut_sample(
+        sample.span(), tree.root(), 0, options.tuning,
+        [&](const NodeRange& range, std::size_t, Sample own) { return new_cut(range, own); },
+        [&](const NodeRange& range, std::size_t heap, std::int32_t axis, const Bracket& bracket) {
+          message[kGuide + at(range.node)] = bracket;
+          if (heap < Splitters::kNodes) found.guide.splitters.nodes[heap] = {bracket.least, bracket.most, axis};
+        });
+    std::memcpy(static_cast<void*>(message.data()), &found.guide, sizeof(Guide));
   }
   const Buffer<Bracket> told = comm::values_of_first<Bracket>(comm, message);
   cost.reductions += 2;
-  GuideFromCuts found;
   std::memcpy(static_cast<void*>(&found.guide), told.data(), sizeof(Guide));
-  found.inner = inner_regions(tree, current.own, told.span().subspan(kGuide));
+  found.inner = inner_regions(tree, told.span().subspan(kGuide));
   return found;
 }
 

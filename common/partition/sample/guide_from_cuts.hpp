@@ -14,26 +14,18 @@
 
 namespace rcb::partition {
 
-// The parts [first, last) that this rank owns: its particles are of these parts, but for some that have just left them.
-// Where particles may lie on any rank: all parts, on every rank.
-struct OwnParts {
-  int first = 0;
-  int last = 0;
-};
-
 // The partition that is in force.
 struct CurrentPartition {
   const CutTree& tree;
-  std::span<const std::int32_t> part;  // of the local particles, under the tree
-  const LoadSummary& loads;            // of those parts, all ranks
-  OwnParts own;
+  std::span<const std::int32_t> part;              // of the local particles, under the tree
+  const LoadSummary& loads;                        // of those parts, all ranks
   const particles::BlockRanges* blocks = nullptr;  // the ranges of the local positions; null: not known
 };
 
 struct GuideFromCuts {
   Guide guide;
-  // [own parts]: what no bracket reaches, where the part's particles are expected to stay: open boxes, some unbounded,
-  // some empty.
+  // [parts]: what no bracket reaches, where the part's particles are expected to stay: open boxes, some unbounded, some
+  // empty.
   std::vector<geometry::Box> inner;
 };
 

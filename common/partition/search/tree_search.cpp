@@ -117,36 +117,6 @@ Interval TreeSearch::gap(const Node& node) const {
   return gap;
 }
 
-// The gap between neighbouring wholes that most likely has the key: the load of the wholes below it, and that of what
-// may lie anywhere (points, and wholes meant for both sides), allow the key there with the widest margin. Empty: none
-// does.
-Interval TreeSearch::free_interval(const Node& node, u128 wanted) const {
-  const auto axis = at(node.axes[0]);
-  std::vector<std::int32_t> wholes;
-  for (const std::int32_t b : node.wholes)
-    if (start_.buckets[at(b)].last <= node.range.middle() || start_.buckets[at(b)].first >= node.range.middle())
-      wholes.push_back(b);
-  std::ranges::sort(wholes, {}, [&](std::int32_t b) { return span_of(b, axis).lo; });
-  const u128 loose = amount(node.load - load_of(wholes));
-  Interval best;
-  u128 best_margin = 0;
-  u128 before = 0;
-  std::int32_t next = 0;  // the first integer above the wholes so far
-  const auto look = [&](std::int32_t end) {
-    if (next >= end || wanted <= before || wanted > before + loose) return;
-    const u128 margin = std::min(wanted - before, before + loose + 1 - wanted);
-    if (margin > best_margin) best = {next, end - 1};
-    best_margin = std::max(best_margin, margin);
-  };
-  for (const std::int32_t b : wholes) {
-    look(span_of(b, axis).lo);
-    before += amount(start_.buckets[at(b)].load);
-    next = std::max(next, span_of(b, axis).hi + 1);
-  }
-  look(AxisMap::kTop + 1);
-  return best;
-}
-
 Interval TreeSearch::certain(std::span<const std::int32_t> wholes, std::size_t axis, Interval region, u128 loose,
                              u128 wanted) const {
   struct End {
@@ -180,7 +150,6 @@ std::vector<TreeSearch::Pending> TreeSearch::begin_level() {
     CutRequest& wanted = wanted_.emplace_back(request_of(node));
     if (!wanted.search) continue;
     wanted.within = gap(node);
-    if (wanted.within.empty()) wanted.within = free_interval(node, load_wanted(wanted));
     if (wanted.within.empty())
       wanted.within = certain(node.wholes, at(node.axes[0]), Interval::everything(),
                               amount(node.load - load_of(node.wholes)), load_wanted(wanted));
@@ -363,11 +332,7 @@ void TreeSearch::finish_part(const Node& leaf) {
   const std::int32_t part = leaf.range.first;
   if (!start_.scale) result_.counts[at(part)] = leaf.load.count;
   for (const Segment& segment : leaf.segments) result_.points.push_back({segment.all(), segment.base, part});
-  for (const std::int32_t b : leaf.wholes) {
-    result_.part_of_bucket[at(b)] = part;
-    for (const Segment& segment : start_.points.take(at(b)))
-      result_.points.push_back({segment.all(), segment.base, part});
-  }
+  for (const std::int32_t b : leaf.wholes) result_.part_of_bucket[at(b)] = part;
 }
 
 // Without particles the cuts of a node, and those below, follow from the rule alone. With many more parts than

@@ -15,7 +15,6 @@
 #include <span>
 #include <vector>
 
-#include "common/partition/buckets/listed.hpp"
 #include "common/partition/rules/split_rule.hpp"
 #include "common/partition/search/node.hpp"
 
@@ -39,7 +38,7 @@ struct TreeFound {
   CutTree tree;
   std::vector<std::uint64_t> counts;         // of each part, all ranks; empty where weights count
   std::vector<std::int32_t> part_of_bucket;  // of those that stayed wholes; -1: it was opened
-  std::vector<PointsOfPart> points;          // all of this rank's
+  std::vector<PointsOfPart> points;          // of the others, this rank's
   std::uint64_t opened = 0;                  // particles of buckets that had no points before
 };
 
@@ -75,7 +74,6 @@ class TreeSearch {
   CutRequest request_of(const Node& node) const;
   u128 slack_of(const Node& node) const;
   Interval gap(const Node& node) const;
-  Interval free_interval(const Node& node, u128 wanted) const;
   // The key at which the prefix of these wholes and of points in `region` reaches `wanted` > 0 has an integer in this
   // interval. Local.
   //   loose  the load of those points, wherever in `region` they are

@@ -76,10 +76,8 @@ partition::Repartition search(Context& context, Scene& scene, Staged& staged, St
   options.before_search_of_all = [&staged] {
     for (auto& axis : staged.arrays.position) axis.release();  // a full search needs as much memory
   };
-  const auto own = layout::parts_of_rank(context.comm.rank(), scene.options.parts, context.comm.size());
-  partition::Repartition found =
-      partition::repartition(context.comm, scene.particles.view(), options,
-                             {*scene.tree, scene.part.span(), *scene.loads, {own.begin, own.end}, staged.ranges()});
+  partition::Repartition found = partition::repartition(
+      context.comm, scene.particles.view(), options, {*scene.tree, scene.part.span(), *scene.loads, staged.ranges()});
   // After a wasted incremental search the next 1, 3, then kFullSearchesMax repartitions search all particles.
   if (options.incremental)
     scene.full_searches_left = scene.full_searches_last =

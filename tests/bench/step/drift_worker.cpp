@@ -119,8 +119,6 @@ Json run_cell(comm::Comm& comm, const SceneKind& kind, const Cell& cell, double 
   }
   const auto view = held.scene.particles.view();
   const partition::LoadSummary loads = partition::summarise_loads(comm, view, part.span(), {}, cell.parts);
-  const auto [first, last] = layout::parts_of_rank(comm.rank(), cell.parts, comm.size());
-  const partition::OwnParts own{first, last};
   // As a step makes them while the positions arrive.
   const particles::BlockRanges blocks = testing::ranges_of(view);
   std::vector<Repartition> found(std::size(kWays));
@@ -138,7 +136,7 @@ Json run_cell(comm::Comm& comm, const SceneKind& kind, const Cell& cell, double 
       options.partition.previous = held.scene.tree.get();
       options.incremental = kWays[w].incremental;
       const double took = timed(comm, [&] {
-        found[w] = partition::repartition(comm, view, options, {*held.scene.tree, part.span(), loads, own, &blocks});
+        found[w] = partition::repartition(comm, view, options, {*held.scene.tree, part.span(), loads, &blocks});
       });
       if (repeat >= 0) seconds[w].push_back(took);
     }

@@ -117,25 +117,23 @@ std::vector<int> first_parts(const RandomRepartition& from) {
 // What a rank holds, and its particles' parts under the cuts in force.
 struct RankShare {
   Share share;
-  OwnParts own;
   std::vector<std::int32_t> part;
 };
 RankShare share_of(const RandomRepartition& from, const Scene& scene, std::span<const std::int32_t> part, int rank) {
   const std::vector<int> first = first_parts(from);
   const auto r = static_cast<std::size_t>(rank);
-  const OwnParts own = from.held == 0 ? OwnParts{0, from.before.parts} : OwnParts{first[r], first[r + 1]};
   std::vector<std::size_t> rows;
   if (from.held == 0) rows = rows_of(from.before, scene.count(), rank);
   for (std::size_t i = 0; i < scene.count() && from.held > 0; ++i) {
     const bool stray = from.held > 1 && from.hash(i) % 9 == 0;
     if (stray ? from.hash(i + 1) % static_cast<std::uint64_t>(from.before.ranks) == r
-              : part[i] >= own.first && part[i] < own.last)
+              : part[i] >= first[r] && part[i] < first[r + 1])
       rows.push_back(i);
   }
   if (from.by_part) std::ranges::stable_sort(rows, {}, [part](std::size_t row) { return part[row]; });
   std::vector<std::int32_t> mine;
   for (const std::size_t row : rows) mine.push_back(part[row]);
-  return {testing::take(scene, std::move(rows)), own, std::move(mine)};
+  return {testing::take(scene, std::move(rows)), std::move(mine)};
 }
 
 RepartitionOptions options_of(const RandomRepartition& from, const JudgeOptions& asked, const CutTree& before) {
@@ -213,8 +211,7 @@ std::string wrong_with(const RandomRepartition& from, int& incremental) {
     const particles::ParticleView view = here.share.particles.view();
     const particles::BlockRanges blocks = testing::ranges_of(view);
     const LoadSummary loads = summarise_loads(comm, view, here.part, asked.part_sizes, asked.parts);
-    Repartition got =
-        repartition(comm, view, options, {before, here.part, loads, here.own, from.blocks ? &blocks : nullptr});
+    Repartition got = repartition(comm, view, options, {before, here.part, loads, from.blocks ? &blocks : nullptr});
     const bool few = got.incremental && asked.parts > 1 && got.cost.searched < scene.count();
     const std::string mine = wrong_here(comm, std::move(got), here, options.partition, judged);
     const std::lock_guard lock(mutex);

@@ -58,13 +58,11 @@ CutTree drift(Case& trial) {
 // particles side by side in the arrays are side by side in space.
 struct Held {
   Share share;
-  OwnParts own;
   std::vector<std::int32_t> part;
 };
 Held held(const Scene& scene, const CutTree& tree, const comm::Comm& comm, bool by_part = false) {
   const int rank = comm.rank(), ranks = comm.size();
   const auto begin = [&](int r) { return static_cast<int>(std::int64_t{r} * tree.parts / ranks); };
-  const OwnParts own{begin(rank), begin(rank + 1)};
   std::vector<std::int32_t> part;
   std::vector<std::size_t> rows;
   for (std::size_t i = 0; i < scene.count(); ++i) {
@@ -72,7 +70,7 @@ Held held(const Scene& scene, const CutTree& tree, const comm::Comm& comm, bool 
     const int owner = tree.part_of(at, scene.id[i]);
     const bool stray = i % 23 == 0;
     if (stray ? static_cast<int>(i / 23 % static_cast<std::size_t>(ranks)) == rank
-              : owner >= own.first && owner < own.last) {
+              : owner >= begin(rank) && owner < begin(rank + 1)) {
       rows.push_back(i);
       part.push_back(owner);
     }
@@ -86,7 +84,7 @@ Held held(const Scene& scene, const CutTree& tree, const comm::Comm& comm, bool 
     rows = std::move(sorted);
     std::ranges::sort(part);
   }
-  return {testing::take(scene, std::move(rows)), own, std::move(part)};
+  return {testing::take(scene, std::move(rows)), std::move(part)};
 }
 
 std::string differs(const LoadSummary& a, const LoadSummary& b) {
@@ -102,7 +100,7 @@ std::uint64_t check(Case trial) {
   std::mutex mutex;
   std::uint64_t incremental = 0;
   on_ranks([&](comm::Comm& comm) {
-    const auto [share, own, part] = held(trial.scene, before, comm, trial.seed % 2 == 0);
+    const auto [share, part] = held(trial.scene, before, comm, trial.seed % 2 == 0);
     const particles::ParticleView view = share.particles.view();
     const particles::BlockRanges blocks = testing::ranges_of(view);
     const auto& sizes = trial.options.part_sizes;
@@ -112,7 +110,7 @@ std::uint64_t check(Case trial) {
     const Result<PartitionResult> full = partition(comm, view, options.partition);
     ASSERT_TRUE(full.ok());
     const Repartition got =
-        repartition(comm, view, options, {before, part, loads, own, trial.seed % 3 == 0 ? nullptr : &blocks});
+        repartition(comm, view, options, {before, part, loads, trial.seed % 3 == 0 ? nullptr : &blocks});
     EXPECT_TRUE(got.tree.cuts == full->tree.cuts);
     EXPECT_EQ(got.tree.hash(), full->tree.hash());
     std::vector<std::int32_t> parts = part;
@@ -173,16 +171,16 @@ TEST(Repartition, LooksAtFewWhereLittleHasMoved) {
   trial.options.axis_hysteresis = 1.5;
   const CutTree before = drift(trial);
   on_ranks([&](comm::Comm& comm) {
-    const auto [share, own, part] = held(trial.scene, before, comm);
+    const auto [share, part] = held(trial.scene, before, comm);
     RepartitionOptions options{trial.options, true, {}};
     options.partition.previous = &before;
     const LoadSummary loads = summarise_loads(comm, share.particles.view(), part, {}, 4);
-    const Repartition got = repartition(comm, share.particles.view(), options, {before, part, loads, own});
+    const Repartition got = repartition(comm, share.particles.view(), options, {before, part, loads});
     EXPECT_TRUE(got.incremental);
     EXPECT_LT(got.cost.searched, trial.scene.count() / 5);
     EXPECT_EQ(got.loads.error, 0);
     options.incremental = false;
-    const Repartition full = repartition(comm, share.particles.view(), options, {before, part, loads, own});
+    const Repartition full = repartition(comm, share.particles.view(), options, {before, part, loads});
     EXPECT_FALSE(full.incremental);
     EXPECT_EQ(full.cost.searched, trial.scene.count());
     EXPECT_EQ(full.tree.hash(), got.tree.hash());

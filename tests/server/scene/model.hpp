@@ -199,8 +199,7 @@ class Ranks {
     partition::RepartitionOptions options{search_options(), true, {}};
     options.partition.axis_hysteresis = options_.axis_hysteresis;
     options.partition.previous = &tree_;
-    auto found = partition::repartition(comm_, particles_.view(), options,
-                                        {tree_, part_.span(), loads_, {0, options_.parts}, nullptr});
+    auto found = partition::repartition(comm_, particles_.view(), options, {tree_, part_.span(), loads_, nullptr});
     if (may_be_wasted(options_, loads_) && !(found.loads.error < loads_.error)) {
       report.reason = reason_not_adopted(decision, found.loads.error);
       return true;

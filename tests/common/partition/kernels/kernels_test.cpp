@@ -88,8 +88,10 @@ TEST(Kernels, WalkFindsTheBucketsOfTheSplitters) {
       node.least = scene.near(axis);
       node.most = scene.random.below(3) == 0 ? node.least : std::max(node.least, scene.near(axis));
     }
-    for (std::size_t a = 0; a < static_cast<std::size_t>(scene.dims) && scene.random.below(2) == 0; ++a)
-      splitters.rounded.fit(a, {scene.x[a], kBlock});
+    for (std::size_t a = 0; a < static_cast<std::size_t>(scene.dims) && scene.random.below(2) == 0; ++a) {
+      const auto [least, most] = std::minmax_element(scene.x[a], scene.x[a] + kBlock);
+      splitters.rounded.fit(a, *least, *most);
+    }
     std::array<std::int32_t, kBlock> bucket;
     own.walk(WalkTables(splitters), scene.x, bucket.data());
     for (std::size_t i = 0; i < kBlock; ++i) {

@@ -45,16 +45,15 @@ TEST(GuideOfLargeSet, IsTheSameOnAllRanksAndBracketsTheCuts) {
       on_ranks([&](comm::Comm& comm) {
         const Share share = deal(scene, comm.rank(), comm.size(), kGuideSeed);
         SearchCost cost;
-        const auto large = guide_of_large_set(comm, share.particles.view(), options, cost);
-        EXPECT_TRUE(large);
-        if (!large) return;
-        EXPECT_TRUE(large->split);
-        EXPECT_TRUE(same_on_all_ranks(comm, numbers_of(*large)));
+        const Guide large = guide_of_set(comm, share.particles.view(), options, cost).guide;
+        EXPECT_TRUE(large.split);
+        EXPECT_EQ(cost.reductions, 3U);
+        EXPECT_TRUE(same_on_all_ranks(comm, numbers_of(large)));
         const std::scoped_lock lock(mutex);
-        hits.count(tree, large->splitters, tree.root(), 0);
-        expect_leaves_left(large->splitters, tree.root(), 0);
+        hits.count(tree, large.splitters, tree.root(), 0);
+        expect_leaves_left(large.splitters, tree.root(), 0);
         for (std::size_t a = 0; a < 3 && shape == Shape::uniform; ++a) {
-          const AxisPlan& plan = large->axes[a];
+          const AxisPlan& plan = large.axes[a];
           const auto [least, most] = std::ranges::minmax(scene.x[a]);
           EXPECT_LE(plan.lo, least);
           EXPECT_GE(plan.hi, most);
@@ -75,7 +74,7 @@ TEST(GuideOfLargeSet, IsLeftWhereItWouldSaveNothing) {
     SearchCost cost;
     const auto made = [&](const PartitionOptions& options, const Scene& of) {
       const Share share = deal(of, comm.rank(), comm.size(), kGuideSeed);
-      return guide_of_large_set(comm, share.particles.view(), options, cost).has_value();
+      return guide_of_set(comm, share.particles.view(), options, cost).guide.split;
     };
     const PartitionOptions options = with_samples(8);
     EXPECT_EQ(made(options, scene), has_avx2());
@@ -96,12 +95,12 @@ TEST(GuideOfLargeSet, IsLeftWhereItWouldSaveNothing) {
 }
 
 // The plan of all coordinates of the scene, as one rank would make it.
-SmallSet alone(const Scene& scene, const PartitionOptions& options) {
+SetGuide alone(const Scene& scene, const PartitionOptions& options) {
   testing::SelfComm self;
   std::vector<std::size_t> rows(scene.count());
   std::iota(rows.begin(), rows.end(), std::size_t{0});
   SearchCost cost;
-  return look_at_small_set(self, testing::take(scene, rows).particles.view(), options, cost);
+  return guide_of_set(self, testing::take(scene, rows).particles.view(), options, cost);
 }
 
 TEST(GuideOfSmallSet, DependsOnTheParticlesAloneUnderACutTolerance) {
@@ -115,7 +114,7 @@ TEST(GuideOfSmallSet, DependsOnTheParticlesAloneUnderACutTolerance) {
       PartitionOptions options;
       options.cut_tolerance = 0.05;
       geometry::Box box;
-      const SmallSet expected = alone(scene, options);
+      const SetGuide expected = alone(scene, options);
       // By brute force: ids chosen by a hash, and both maps of the exact range.
       for (std::size_t a = 0; a < at(scene.dims) && count > 0; ++a) {
         const auto [least, most] = std::ranges::minmax(scene.x[a]);
@@ -124,7 +123,7 @@ TEST(GuideOfSmallSet, DependsOnTheParticlesAloneUnderACutTolerance) {
         std::array<std::array<int, 512>, 2> bins{};
         const std::array maps{AxisMap::by_value(least, most), AxisMap::by_order_bits(least, most)};
         for (std::size_t i = 0; i < count; ++i)
-          if (mix64(static_cast<std::uint64_t>(scene.id[i])) % 64 == 0)
+          if (mix64(static_cast<std::uint64_t>(scene.id[i])) % (count / 4096 + 1) == 0)
             for (std::size_t m = 0; m < 2; ++m)
               ++bins[m][at(std::int64_t{maps[m](scene.x[a][i])} * 511 / std::max(maps[m](most), 1))];
         EXPECT_EQ(expected.guide.axes[a].by_order_bits, std::ranges::max(bins[0]) > 2 * std::ranges::max(bins[1]));
@@ -135,7 +134,7 @@ TEST(GuideOfSmallSet, DependsOnTheParticlesAloneUnderACutTolerance) {
         on_ranks([&](comm::Comm& comm) {
           const Share share = deal(scene, comm.rank(), comm.size(), seed);
           SearchCost cost;
-          const SmallSet all = look_at_small_set(comm, share.particles.view(), options, cost);
+          const SetGuide all = guide_of_set(comm, share.particles.view(), options, cost);
           EXPECT_EQ(numbers_of(all.guide), numbers_of(expected.guide));
           EXPECT_EQ(all.box, expected.box);
           EXPECT_EQ(all.count, scene.count());
@@ -154,10 +153,10 @@ TEST(GuideOfSmallSet, IsTheSameOnAllRanksWithTheExactBox) {
     on_ranks([&](comm::Comm& comm) {
       const Share share = deal(scene, comm.rank(), comm.size(), kGuideSeed);
       SearchCost cost;
-      const SmallSet all = look_at_small_set(comm, share.particles.view(), {}, cost);
+      const SetGuide all = guide_of_set(comm, share.particles.view(), {}, cost);
       const Guide& guide = all.guide;
       EXPECT_TRUE(same_on_all_ranks(comm, numbers_of(guide)));
-      EXPECT_EQ(cost.reductions, 1U);
+      EXPECT_EQ(cost.reductions, 2U);
       EXPECT_EQ(all.box, box);
       EXPECT_FALSE(guide.split);
       for (std::size_t a = 0; a < at(scene.dims); ++a) {

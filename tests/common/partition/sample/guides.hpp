@@ -58,7 +58,7 @@ struct Hits {
     ++nodes;
     const float own = rounded(cut.key.at[0]);
     bracketed += rounded(least) <= own && own <= rounded(most) ? 1 : 0;
-    unbounded += Bracket{least, most}.anywhere() ? 1 : 0;
+    unbounded += least == -geometry::Box::kInfinity && most == -least ? 1 : 0;
     count(tree, splitters, range.left(), 2 * heap + 1);
     count(tree, splitters, range.right(), 2 * heap + 2);
   }
