@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <numeric>
 #include <utility>
 
 #include "common/base/check.hpp"
@@ -105,16 +106,43 @@ CutRequest TreeSearch::request_of(const Node& node) const {
 }
 
 // Between the wholes that are meant for the left and those for the right; empty if these don't lie apart, since the cut
-// lies across another axis than expected.
+// lies across another axis than expected. If cuts above did, the wholes were meant for other parts than the node's.
 Interval TreeSearch::gap(const Node& node) const {
+  NodeRange meant{.first = options_.parts, .last = 0};
+  for (const std::int32_t b : node.wholes) {
+    meant.first = std::min(meant.first, start_.buckets[at(b)].first);
+    meant.last = std::max(meant.last, start_.buckets[at(b)].last);
+  }
+  const bool own_parts = meant.first >= node.range.first && meant.last <= node.range.last;
+  const int middle = (own_parts ? node.range : meant).middle();
   Interval gap = Interval::everything();
   for (const std::int32_t b : node.wholes) {
     const Interval own = span_of(b, at(node.axes[0]));
     const Bucket& bucket = start_.buckets[at(b)];
-    if (bucket.last <= node.range.middle()) gap.lo = std::max(gap.lo, own.hi + 1);
-    if (bucket.first >= node.range.middle()) gap.hi = std::min(gap.hi, own.lo - 1);
+    if (bucket.last <= middle) gap.lo = std::max(gap.lo, own.hi + 1);
+    if (bucket.first >= middle) gap.hi = std::min(gap.hi, own.lo - 1);
   }
   return gap;
+}
+
+// Between the wholes below the likely key and those above it: it is assumed that each whole's load lies in its middle,
+// and half of that of points below the key.
+Interval TreeSearch::likely(const Node& node, u128 wanted) const {
+  const auto axis = at(node.axes[0]);
+  const auto middle_of = [&](std::int32_t b) { return std::midpoint(span_of(b, axis).lo, span_of(b, axis).hi); };
+  std::vector<std::int32_t> wholes = node.wholes;
+  std::ranges::sort(wholes, {}, middle_of);
+  u128 before = amount(node.points.load) / 2;
+  const auto reached = std::ranges::find_if(
+      wholes, [&](std::int32_t b) { return (before += amount(start_.buckets[at(b)].load)) >= wanted; });
+  const std::int32_t key = middle_of(reached == wholes.end() ? wholes.back() : *reached);
+  Interval likely = Interval::everything();
+  for (const std::int32_t b : wholes) {
+    const Interval own = span_of(b, axis);
+    if (own.hi < key) likely.lo = std::max(likely.lo, own.hi + 1);
+    if (own.lo > key) likely.hi = std::min(likely.hi, own.lo - 1);
+  }
+  return likely;
 }
 
 Interval TreeSearch::certain(std::span<const std::int32_t> wholes, std::size_t axis, Interval region, u128 loose,
@@ -150,9 +178,7 @@ std::vector<TreeSearch::Pending> TreeSearch::begin_level() {
     CutRequest& wanted = wanted_.emplace_back(request_of(node));
     if (!wanted.search) continue;
     wanted.within = gap(node);
-    if (wanted.within.empty())
-      wanted.within = certain(node.wholes, at(node.axes[0]), Interval::everything(),
-                              amount(node.load - load_of(node.wholes)), load_wanted(wanted));
+    if (wanted.within.empty()) wanted.within = likely(node, load_wanted(wanted));
     pending.push_back({n, wanted.within});
   }
   return pending;

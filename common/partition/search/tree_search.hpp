@@ -74,6 +74,7 @@ class TreeSearch {
   CutRequest request_of(const Node& node) const;
   u128 slack_of(const Node& node) const;
   Interval gap(const Node& node) const;
+  Interval likely(const Node& node, u128 wanted) const;
   // The key at which the prefix of these wholes and of points in `region` reaches `wanted` > 0 has an integer in this
   // interval. Local.
   //   loose  the load of those points, wherever in `region` they are
