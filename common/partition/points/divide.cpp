@@ -1,32 +1,10 @@
 #include "common/partition/points/divide.hpp"
 
-#include <algorithm>
-#include <array>
-#include <utility>
-
 namespace rcb::partition {
 namespace {
 
 // A quantised point as one vector: moved by one load and one store.
 using PointLanes = std::int32_t __attribute__((vector_size(sizeof(QuantisedPoint)), may_alias));
-
-// Calls move() with every point that is `wanted`, those of a block at a time, which are listed first: few points are
-// wanted, and a branch on each would often be mispredicted.
-template <typename Iterator, typename Wanted, typename Move>
-void for_the_few(Iterator points, std::size_t size, const Wanted& wanted, const Move& move) {
-  constexpr std::size_t kTogether = 512;
-  std::array<std::uint32_t, kTogether> found;
-  for (std::size_t begin = 0; begin < size; begin += kTogether) {
-    const auto block = points + static_cast<std::ptrdiff_t>(begin);
-    const auto most = static_cast<std::uint32_t>(std::min(kTogether, size - begin));
-    std::size_t count = 0;
-    for (std::uint32_t k = 0; k < most; ++k) {
-      found[count] = k;
-      count += wanted(block[k]) ? 1U : 0U;
-    }
-    for (std::size_t k = 0; k < count; ++k) move(block[found[k]]);
-  }
-}
 
 }  // namespace
 
@@ -52,24 +30,8 @@ QuantisedPoint* divide(std::span<QuantisedPoint> points, std::size_t axis, std::
   return left_end;
 }
 
-QuantisedPoint* divide_few(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t first_right) {
-  QuantisedPoint* next = points.data();
-  for_the_few(
-      points.begin(), points.size(), [=](const QuantisedPoint& point) { return point.q[axis] < first_right; },
-      [&](QuantisedPoint& point) { std::swap(point, *next++); });
-  return next;
-}
-
-QuantisedPoint* divide_few_right(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t first_right) {
-  QuantisedPoint* end = points.data() + points.size();
-  for_the_few(
-      points.rbegin(), points.size(), [=](const QuantisedPoint& point) { return point.q[axis] >= first_right; },
-      [&](QuantisedPoint& point) { std::swap(point, *--end); });
-  return end;
-}
-
 void count_bins(std::span<const QuantisedPoint> points, std::size_t axis, std::int32_t lo, unsigned shift,
-                std::span<std::uint32_t> even, std::span<std::uint32_t> odd) {
+                std::span<std::uint64_t> even, std::span<std::uint64_t> odd) {
   const auto bin = [&](std::size_t i) { return static_cast<std::uint32_t>(points[i].q[axis] - lo) >> shift; };
   std::size_t i = 0;
   for (; i + 2 <= points.size(); i += 2) {

@@ -28,9 +28,6 @@ struct Segment {
   QuantisedPoint* middle = nullptr;
   QuantisedPoint* upper = nullptr;
   QuantisedPoint* last = nullptr;
-  // [replaced, replaced_last): the points whose integers on the cut axis are replaced by another key word for now.
-  QuantisedPoint* replaced = nullptr;
-  QuantisedPoint* replaced_last = nullptr;
   std::uint64_t base = 0;  // particle base + index is this rank's particle of that index
   QBounds bounds;          // exact
 

@@ -30,7 +30,6 @@ struct Tuning {
   // Fewer bins than this bound the number of rounds too weakly; with weights, a cell of a histogram has four words.
   static constexpr std::size_t kBinsMin = 64;
   static constexpr std::size_t kWeightedBinsMax = 256;
-  static constexpr int kRoundsMax = 3;                     // before integers are replaced by a key word
   static constexpr std::uint64_t kGatherAlways = 8;        // so few candidates aren't worth a histogram
   static constexpr std::uint64_t kGatheredTogether = 512;  // candidates of all nodes of a level
   // So many times as many are gathered where integers separate nothing any more, since key words cost more passes;

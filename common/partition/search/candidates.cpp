@@ -35,8 +35,8 @@ Buffer<Candidate> gather(SearchContext& context, NodeStates nodes) {
 }
 
 void choose(NodeState& node, std::span<const Candidate> candidates) {
-  const std::uint64_t place = node.wanted.rank - node.below.count;
-  node.found.left.count = node.wanted.rank;
+  const std::uint64_t place = node.request.rank - node.below.count;
+  node.found.left.count = node.request.rank;
   node.found.key = candidates[place].key;
   node.found.relied_on.lo = node.found.relied_on.hi = node.integer(node.found.key);
 }
@@ -53,8 +53,8 @@ void choose_by_weight(NodeState& node, std::span<const Candidate> candidates) {
   RCB_CHECK(crossing < candidates.size(), "the wanted weight is reached inside the bracket");
   const u128 after = before + candidates[crossing].weight();
   found.relied_on.lo = found.relied_on.hi = node.integer(candidates[crossing].key);
-  const Product wanted = Product(node.wanted.all.weight) * node.wanted.left_size;
-  if (Product(after) * node.wanted.size - wanted < wanted - Product(before) * node.wanted.size) {
+  const Product target = Product(node.request.all.weight) * node.request.left_size;
+  if (Product(after) * node.request.size - target < target - Product(before) * node.request.size) {
     found.left.weight = after;
     if (crossing + 1 < candidates.size()) {
       found.key = candidates[crossing + 1].key;
@@ -81,8 +81,8 @@ bool key_is_within(NodeState& node, std::span<const Candidate>& candidates) {
   const auto first_from = [&](std::int64_t q) {
     return std::ranges::lower_bound(candidates, q, {}, [&](const Candidate& own) { return node.integer(own.key); });
   };
-  const auto first = first_from(node.wanted.within.lo);
-  const auto last = first_from(std::int64_t{node.wanted.within.hi} + 1);
+  const auto first = first_from(node.request.within.lo);
+  const auto last = first_from(std::int64_t{node.request.within.hi} + 1);
   const Load points_below{static_cast<std::uint64_t>(first - candidates.begin()), 0};
   candidates = {first, last};
   return node.is_within(points_below, {candidates.size(), 0});

@@ -6,16 +6,16 @@
 // 2. The first bracket is `within`. If the key isn't in it, the search ends and says on which side it is.
 // 3. A round makes a histogram of the undecided points' integers on the cut axis; the bin that holds the wanted key
 //    becomes the bracket, and the points outside of it are no longer undecided.
-// 4. Where integers no longer separate the undecided points, and these are too many to be gathered, the integers are
-//    replaced until the search ends by a key word, less its least value: key words are the coordinates in the node's
-//    axis order, then the id; earlier words are decided by then. Each round divides a bracket by at least 64: a word
-//    takes at most 3 rounds on quantised integers and 13 on windows of 31 bits of it (6 + 6 + 1), whatever the
-//    distribution; one that all undecided points share takes none.
+// 4. Where all undecided points have one integer, and are too many to be gathered, their integers are replaced until
+//    the search ends by the first key word that not all of them share, less its least value: key words are the
+//    coordinates in the node's axis order, then the id. Each round divides a bracket by at least 64: quantised integers
+//    take at most 6 rounds, and a key word 11 on windows of 30 bits of it (5 + 5 + 1), whatever the distribution; one
+//    that all undecided points share takes none.
+// 5. In a node whose points all lie in one place, ids take the integers' place for good.
 #pragma once
 
 #include <array>
 #include <cstdint>
-#include <limits>
 #include <optional>
 #include <span>
 #include <vector>
@@ -34,13 +34,10 @@ namespace rcb::partition {
 // words are 0.
 using KeyWords = std::array<std::uint64_t, geometry::kDimsMax + 1>;
 
-// What is known of particles that lie in one place, so that only ids tell them apart.
-struct OnePlace {
-  bool all = false;               // all of the node's points are known to lie in one place
-  bool by_id = false;             // ids have taken their integers' place, on axis 0, less the least id of all particles
-  std::optional<Integers> where;  // points with these integers are known to lie in one place
-  Id id_first = 0;                // if `all`: they have ids from here
-  Id id_last = std::numeric_limits<Id>::max();
+// Values of a key word.
+struct WordRange {
+  std::uint64_t first = ~std::uint64_t{0};
+  std::uint64_t last = 0;
 };
 
 // A node's points: the particles of it that were opened. All ranks' but for the segments.
@@ -48,18 +45,18 @@ struct PointSet {
   std::span<Segment> segments;  // this rank's
   Load load;                    // count: without weights; weight: with
   QBounds bounds;               // of their integers
-  OnePlace one_place;
+  // They are known to lie in one place, so that only ids tell them apart. Then the node has no wholes, and `within` is
+  // everything; a search may overwrite their integers on axis 0.
+  bool one_place = false;
+  bool by_id = false;  // these have been overwritten by ids, less the least id of all particles
 };
 
 // A cut that is wanted. Particles of the node that have no point lie in wholes, on either side of `within`.
 struct CutRequest {
   PointSet points;
   AxisOrder axes{0, 1, 2};
-  bool search = true;      // false: nothing goes right; then all else is unspecified
-  bool keep_ids = false;   // of points in one place: their integers aren't needed any more, ids may take their place
-  bool any_whole = false;  // there are wholes; then without slack and keep_ids
-  Load before;             // of the wholes below `within`; with weights, count and weight
-  Load all;                // with weights, the weight: of the node, points and wholes
+  Load before;                               // of the wholes below `within`; with weights, count and weight
+  Load all;                                  // with weights, the weight: of the node, points and wholes
   Interval within = Interval::everything();  // where the key's first integer is looked for; no whole meets it
   // Without weights: wanted is the key in this place (from 0) among the node's keys.
   std::uint64_t rank = 0;
@@ -67,7 +64,8 @@ struct CutRequest {
   // and among prefixes of the same weight, the shortest.
   u128 left_size = 0;
   u128 size = 1;
-  // The left side may have so many particles (so much weight) more or less than wanted. 0: exact.
+  // The left side may have so many particles (so much weight) more or less than wanted. 0: exact, as it must be where
+  // there are wholes.
   u128 slack = 0;
 };
 
@@ -85,12 +83,11 @@ struct CutFound {
   // the node's particles unless a whole meets this. lo = 0 or hi = kTop: there is no point on that side, but a whole's
   // particle might be.
   Interval relied_on;
-  bool ids_kept = false;                       // as OnePlace::by_id, for both sides
-  std::optional<Integers> where_in_one_place;  // as OnePlace::where, where the search has found one
+  bool by_id = false;  // as PointSet::by_id, for both sides
 };
 
 // With weights: the left side's target, rounded up. The cut lies before or behind the particle whose prefix reaches it.
-u128 threshold_of(const CutRequest& wanted);
+u128 threshold_of(const CutRequest& request);
 
 struct SearchContext {
   comm::Comm& comm;
@@ -98,9 +95,9 @@ struct SearchContext {
   const AxisMaps& maps;
   const std::optional<ExactScale>& scale;  // of the weights, if they count
   const Tuning& tuning;
-  SearchCost& cost;                                       // what a search costs is added to it
-  std::optional<std::array<std::uint64_t, 2>> all_ids{};  // the least and the greatest id, once they have been needed
-  std::uint64_t gather_limit = 0;  // up to so many candidates of a node are gathered instead of counted
+  SearchCost& cost;                    // what a search costs is added to it
+  std::optional<WordRange> all_ids{};  // of all particles, once they have been needed
+  std::uint64_t gather_limit = 0;      // up to so many candidates of a node are gathered instead of counted
 
   bool weighted() const { return scale.has_value(); }
   std::size_t axes() const { return at(particles.dims); }
@@ -113,7 +110,7 @@ class CutSearch {
 
   // The cuts of these nodes. Afterwards each segment of their points is divided by the node's key: `middle`, which
   // equals `upper`, is where the right side begins. Collective (a few reductions a round).
-  std::vector<CutFound> find(std::span<const CutRequest> wanted);
+  std::vector<CutFound> find(std::span<const CutRequest> requests);
 
  private:
   SearchContext context_;

@@ -1,5 +1,4 @@
 #include <bit>
-#include <limits>
 
 #include "common/comm/wide_sum.hpp"
 #include "common/partition/points/divide.hpp"
@@ -34,11 +33,10 @@ struct CellMessage {
   }
 };
 
-// A lossless axis' integers are multiples of 2^zeros: narrower bins would stay empty.
+// Integers are multiples of 2^zeros: narrower bins would stay empty.
 unsigned shift_of(const NodeState& node, std::size_t bins) {
-  const unsigned least = node.words.replaced ? 0 : node.zeros_of(0);
   const auto bin_bits = static_cast<unsigned>(std::bit_width(bins) - 1);
-  return std::max(shift_to(at(node.bracket.hi - node.bracket.lo), bin_bits), least);
+  return std::max(shift_to(at(node.bracket.hi - node.bracket.lo), bin_bits), node.zeros());
 }
 
 void add_weights(const NodeState& node, unsigned shift, CellMessage& message, std::size_t cell) {
@@ -46,37 +44,23 @@ void add_weights(const NodeState& node, unsigned shift, CellMessage& message, st
   for (const Segment& segment : node.segments()) {
     const auto weight = [&](const QuantisedPoint& point) { return node.context.weight(segment.base + point.index); };
     for (const QuantisedPoint& point : segment.undecided())
-      message.add(cell + 1 + (at(point.q[node.axis()] - node.bracket.lo) >> shift), weight(point));
+      message.add(cell + 1 + (at(point.q[node.searched_axis()] - node.bracket.lo) >> shift), weight(point));
     if (!node.outside_unknown) continue;
     for (const QuantisedPoint& point : std::span(segment.first, segment.middle)) message.add(cell, weight(point));
   }
 }
 
-void add_counts(const NodeState& node, unsigned shift, std::size_t bins, CellMessage& message, std::size_t cell) {
-  std::uint64_t undecided = 0;
-  for (const Segment& segment : node.segments()) {
-    undecided += segment.undecided().size();
-    if (node.outside_unknown) message.add(cell, at(segment.middle - segment.first));
-  }
-  if (node.bracket.lo == node.bracket.hi) return message.add(cell + 1, undecided);
+//   even, odd  [bins], scratch
+void add_counts(const NodeState& node, unsigned shift, CellMessage& message, std::size_t cell,
+                std::span<std::uint64_t> even, std::span<std::uint64_t> odd) {
   node.note_pass(sizeof(QuantisedPoint));
-  std::vector<std::uint32_t> even(bins);
-  std::vector<std::uint32_t> odd(bins);
-  const auto add = [&] {
-    for (std::size_t b = 0; b < bins; ++b) message.add(cell + 1 + b, std::uint64_t{even[b]} + odd[b]);
-  };
-  std::uint64_t counted = 0;
+  std::ranges::fill(even, 0U);
+  std::ranges::fill(odd, 0U);
   for (const Segment& segment : node.segments()) {
-    counted += segment.undecided().size();
-    if (counted > std::numeric_limits<std::uint32_t>::max()) {  // no bin may overflow
-      add();
-      even.assign(bins, 0);
-      odd.assign(bins, 0);
-      counted = segment.undecided().size();
-    }
-    count_bins(segment.undecided(), node.axis(), node.bracket.lo, shift, even, odd);
+    if (node.outside_unknown) message.add(cell, at(segment.middle - segment.first));
+    count_bins(segment.undecided(), node.searched_axis(), node.bracket.lo, shift, even, odd);
   }
-  add();
+  for (std::size_t b = 0; b < even.size(); ++b) message.add(cell + 1 + b, even[b] + odd[b]);
 }
 
 Crossing read(const NodeState& node, std::size_t bins, const CellMessage& message, std::size_t cell) {
@@ -113,6 +97,8 @@ std::vector<Crossing> count_round(SearchContext& context, NodeStates nodes) {
                                     : context.tuning.bins_max;
   const std::size_t fit = std::max<std::size_t>(kBits / (message.bits * nodes.size()), 1);
   const std::size_t bins = std::clamp(std::bit_floor(fit), std::min(Tuning::kBinsMin, most_bins), most_bins);
+  std::vector<std::uint64_t> even(bins);
+  std::vector<std::uint64_t> odd(bins);
   while (found.size() < nodes.size()) {
     const NodeStates rest = nodes.subspan(found.size());
     const NodeStates group = rest.first(std::clamp<std::size_t>(kBits / (bins * message.bits), 1, rest.size()));
@@ -126,7 +112,7 @@ std::vector<Crossing> count_round(SearchContext& context, NodeStates nodes) {
       if (context.weighted())
         add_weights(*group[n], shift, message, n * (1 + used));
       else
-        add_counts(*group[n], shift, used, message, n * (1 + used));
+        add_counts(*group[n], shift, message, n * (1 + used), std::span(even).first(used), std::span(odd).first(used));
     }
     context.comm.all_sum(message.words.span());
     ++context.cost.reductions;

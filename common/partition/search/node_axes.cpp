@@ -1,7 +1,6 @@
 #include "common/partition/search/node_axes.hpp"
 
 #include <algorithm>
-#include <utility>
 
 #include "common/base/index.hpp"
 #include "common/partition/balance/bounds.hpp"
@@ -12,8 +11,8 @@ void NodeAxes::order(std::span<Node> nodes) {
   std::vector<Node*> unordered;
   for (Node& node : nodes) {
     const geometry::Box wholes = box_of(buckets_, node.wholes);
-    node.points.one_place.all = in_one_place(node, wholes);
-    if (const auto axes = rule_.axes_of(node.range, node.points.one_place.all ? Extents{} : extents_of(node, wholes)))
+    node.points.one_place = in_one_place(node, wholes);
+    if (const auto axes = rule_.axes_of(node.range, node.points.one_place ? Extents{} : extents_of(node, wholes)))
       node.axes = *axes;
     else
       unordered.push_back(&node);
@@ -28,7 +27,7 @@ void NodeAxes::order(std::span<Node> nodes) {
 bool NodeAxes::in_one_place(const Node& node, const geometry::Box& wholes) const {
   const QBounds& bounds = node.points.bounds;
   if (!node.wholes.empty() && !bounds.empty()) return false;
-  if (node.points.one_place.all) return true;
+  if (node.points.one_place) return true;
   for (std::size_t a = 0; a < at(particles_.dims); ++a)
     if (bounds.empty() ? wholes.lo[a] != wholes.hi[a] : !maps_[a].lossless() || bounds.lo[a] != bounds.hi[a])
       return false;
@@ -56,13 +55,10 @@ Extents NodeAxes::extents_of(const Node& node, const geometry::Box& wholes) cons
 // Only the points at a bound are looked at.
 geometry::Box NodeAxes::measure_own(const Node& node) {
   const QBounds& bounds = node.points.bounds;
-  const auto& where = node.points.one_place.where;
-  bool place_read = false;
   geometry::Box box;
   for (const Segment& segment : node.segments) {
     cost_.bytes += segment.size() * sizeof(QuantisedPoint);
     for (const QuantisedPoint& point : segment.all()) {
-      if (where && point.q == *where && std::exchange(place_read, true)) continue;
       for (std::size_t a = 0; a < at(particles_.dims); ++a) {
         if (point.q[a] != bounds.lo[a] && point.q[a] != bounds.hi[a]) continue;
         const double x = particles_.position[a][segment.base + point.index];
@@ -84,7 +80,7 @@ std::vector<Point> NodeAxes::measure(std::span<Node* const> nodes) {
     all.take(box, particles_.dims);
     bool one_place = nodes[n]->wholes.empty();
     for (std::size_t a = 0; a < at(particles_.dims); ++a) one_place = one_place && box.lo[a] == box.hi[a];
-    nodes[n]->points.one_place.all = one_place;
+    nodes[n]->points.one_place = one_place;
     box.extend(box_of(buckets_, nodes[n]->wholes));
     for (std::size_t a = 0; a < at(particles_.dims); ++a) extents[n][a] = geometry::extent(box.lo[a], box.hi[a]);
   }

@@ -11,7 +11,7 @@ namespace rcb::partition {
 enum class Phase : std::uint8_t {
   done,
   count,      // a histogram of its undecided points
-  next_word,  // another key word in place of their integers
+  next_word,  // a key word in place of their integers, which are all the same
   gather,     // their keys, since they are few
   neighbour,  // the key next to a bound
 };
@@ -22,7 +22,7 @@ inline constexpr KeyWords kGreatestKey{~std::uint64_t{0}, ~std::uint64_t{0}, ~st
 
 struct NodeState {
   SearchContext& context;
-  const CutRequest& wanted;
+  const CutRequest& request;
   CutFound found{};
   Phase phase = Phase::done;
   u128 threshold = 0;  // with weights: threshold_of()
@@ -32,20 +32,15 @@ struct NodeState {
   Load below{};                  // points and wholes below the bracket
   std::uint64_t inside = 0;      // undecided points, all ranks'; with weights not known before the first histogram
   bool outside_unknown = false;  // some points lie outside of `within`, nobody knows yet how many; `inside` has them
-  int rounds = 0;                // since the integers hold what they hold
 
-  // The integers hold the coordinates or, if they were replaced, `count` key words from the first one on; if that is
-  // one, (its value - base) >> shift.
-  struct HeldWords {
-    bool replaced = false;
-    bool by_id = false;  // they hold the id, or have held it
-    std::size_t first = 0;
-    std::size_t count = 1;
-    std::uint64_t base = 0;
-    unsigned shift = 0;
-    std::optional<std::int32_t> uniform;  // all integers that were replaced were this one
-  };
-  HeldWords words{};
+  // The key word that is searched; the undecided points share the ones before. Integers hold the coordinates or, if
+  // they were replaced, (the word - base) >> shift.
+  std::size_t word = 0;
+  bool replaced = false;
+  std::uint64_t base = 0;
+  unsigned shift = 0;
+  std::vector<std::span<QuantisedPoint>> replaced_points{};  // this rank's: all integers were the same one
+  std::int32_t replaced_integer = 0;
 
   // The key next after `bound` is wanted. First backward: the last particle before it that has weight becomes the
   // bound.
@@ -55,18 +50,20 @@ struct NodeState {
   };
   Neighbour neighbour{};
 
-  std::span<Segment> segments() const { return wanted.points.segments; }
-  // The axis whose integers are searched.
-  std::size_t axis() const { return wanted.keep_ids ? 0 : axis_of(0); }
-  std::size_t axis_of(std::size_t word) const { return at(wanted.axes[word]); }
+  std::span<Segment> segments() const { return request.points.segments; }
+  // The axis whose integers are searched: the cut axis, except that ids which stay have the same axis in all nodes.
+  std::size_t searched_axis() const { return request.points.one_place ? 0 : axis_of(0); }
+  std::size_t axis_of(std::size_t w) const { return at(request.axes[w]); }
   // True if a key word's axis is lossless: its integers may then stand for the word.
-  bool lossless(std::size_t word) const { return word < context.axes() && context.maps[axis_of(word)].lossless(); }
+  bool lossless(std::size_t w) const { return w < context.axes() && context.maps[axis_of(w)].lossless(); }
   // The trailing zero bits of that axis' integers; 0 if it is not lossless.
-  unsigned zeros_of(std::size_t word) const { return lossless(word) ? context.maps[axis_of(word)].zeros() : 0; }
+  unsigned zeros_of(std::size_t w) const { return lossless(w) ? context.maps[axis_of(w)].zeros() : 0; }
+  // The trailing zero bits of the integers that are searched.
+  unsigned zeros() const { return replaced ? 0 : zeros_of(0); }
 
-  std::uint64_t word_of(std::size_t word, std::size_t particle) const {
-    return word == context.axes() ? static_cast<std::uint64_t>(context.particles.id_of(particle))
-                                  : geometry::order_bits(context.particles.position[axis_of(word)][particle]);
+  std::uint64_t word_of(std::size_t w, std::size_t particle) const {
+    return w == context.axes() ? static_cast<std::uint64_t>(context.particles.id_of(particle))
+                               : geometry::order_bits(context.particles.position[axis_of(w)][particle]);
   }
   KeyWords key(std::size_t particle) const {
     KeyWords key{};
@@ -80,7 +77,7 @@ struct NodeState {
 
   // Whether the prefix of this load holds the wanted key.
   bool reached(const Load& prefix) const {
-    return context.weighted() ? prefix.weight >= threshold : prefix.count > wanted.rank;
+    return context.weighted() ? prefix.weight >= threshold : prefix.count > request.rank;
   }
   // Says where the wanted key is, once it is known what load the points below `within` and in it have. If it isn't in
   // it, the search has ended.
@@ -88,7 +85,7 @@ struct NodeState {
     outside_unknown = false;
     found.points_below = points_below;
     found.points_within = points_within;
-    below = wanted.before + points_below;
+    below = request.before + points_below;
     inside = points_within.count;
     if (reached(below))
       found.where = CutFound::Where::below;
@@ -119,13 +116,10 @@ struct Crossing {
 // axis. The sums of many nodes share messages of bounded size. Collective (one reduction a message).
 std::vector<Crossing> count_round(SearchContext& context, NodeStates nodes);
 
-// ties.cpp: where integers no longer separate the undecided points, they are replaced by one key word after the other.
-// A word with one value only is decided; the first one with more is entered. Collective (at most one reduction a
-// message, and one the first time that ids are needed).
+// ties.cpp: where the undecided points have one integer, it is replaced by the first key word that they don't share.
+// Collective (at most one reduction a message, and one the first time that ids are needed).
 void next_words(SearchContext& context, NodeStates nodes);
-// The points lie in one place: only ids can tell them apart. Collective (one reduction, the first time).
-void begin_with_ids(NodeState& node);
-// Puts the integers of the cut axis back in place, unless ids are kept there. Local.
+// Puts the integers of the cut axis back in place, unless the points all lie in one place. Local.
 void restore_integers(NodeState& node);
 
 // candidates.cpp: the few candidates left in each node are gathered on all ranks with their whole keys, and the cut is

@@ -101,7 +101,6 @@ CutRequest TreeSearch::request_of(const Node& node) const {
   } else {
     wanted.rank = rule_.quota(node.range.first, node.range.middle());
   }
-  wanted.search = start_.scale || wanted.rank < node.load.count;
   return wanted;
 }
 
@@ -176,7 +175,7 @@ std::vector<TreeSearch::Pending> TreeSearch::begin_level() {
   for (std::size_t n = 0; n < level_.size(); ++n) {
     const Node& node = level_[n];
     CutRequest& wanted = wanted_.emplace_back(request_of(node));
-    if (!wanted.search) continue;
+    if (!start_.scale && wanted.rank == node.load.count) continue;  // nothing goes right
     wanted.within = gap(node);
     if (wanted.within.empty()) wanted.within = likely(node, load_wanted(wanted));
     pending.push_back({n, wanted.within});
@@ -242,9 +241,7 @@ bool TreeSearch::search_level() {
       CutRequest& own = wanted_[n];
       own.points = node.points;
       own.points.segments = node.segments;
-      own.any_whole = !node.wholes.empty();
-      own.points.one_place.all = node.points.one_place.all && node.wholes.empty();
-      own.keep_ids = own.points.one_place.all && options_.cut_tolerance == 0;
+      own.points.one_place = node.points.one_place && node.wholes.empty();
       own.before = load_of(sides_of(n).below);
       asked.push_back(own);
     }
@@ -293,7 +290,7 @@ void TreeSearch::cut_level() {
       cut.key.id = static_cast<Id>(found.key[at(particles_.dims)]);
     }
     for (const bool right : {false, true}) {
-      Node own = child(node, wanted_[n], found, right);
+      Node own = child(node, found, right);
       if (own.range.leaf())
         finish_part(own);
       else
@@ -310,7 +307,7 @@ void TreeSearch::cut_level() {
   }
 }
 
-Node TreeSearch::child(const Node& parent, const CutRequest& wanted, const CutFound& found, bool right) {
+Node TreeSearch::child(const Node& parent, const CutFound& found, bool right) {
   Node own{.range = right ? parent.range.right() : parent.range.left()};
   const Load left = found.right_empty ? parent.load : found.left;
   own.load = right ? parent.load - left : left;
@@ -324,16 +321,8 @@ Node TreeSearch::child(const Node& parent, const CutRequest& wanted, const CutFo
     if (goes_right == right) own.wholes.push_back(b);
   }
   own.points.load = own.load - load_of(own.wholes);
-  OnePlace& place = own.points.one_place = parent.points.one_place;
-  if (wanted.search) {
-    place.all = wanted.points.one_place.all;
-    place.by_id = found.ids_kept;
-  }
-  if (found.where_in_one_place) place.where = found.where_in_one_place;
-  if (place.all && !found.right_empty) {
-    const auto id = static_cast<Id>(found.key[at(particles_.dims)]);
-    (right ? place.id_first : place.id_last) = right ? id : id - 1;
-  }
+  own.points.one_place = parent.points.one_place && parent.wholes.empty();
+  own.points.by_id = parent.points.by_id || found.by_id;
   for (const Segment& segment : parent.segments) {
     QuantisedPoint* const middle = found.right_empty ? segment.last : segment.middle;
     Segment part = segment;
@@ -343,7 +332,7 @@ Node TreeSearch::child(const Node& parent, const CutRequest& wanted, const CutFo
       own.segments.push_back(part);
       continue;
     }
-    if (part.size() < segment.size() && !place.all) {
+    if (part.size() < segment.size() || found.by_id) {
       part.bounds = {};
       kernels().widen(part.bounds, part.all());
       cost_.bytes += part.size() * sizeof(QuantisedPoint);

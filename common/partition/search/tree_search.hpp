@@ -89,7 +89,7 @@ class TreeSearch {
   bool search_level();
   // Makes them, and the next level's nodes. Collective (a minimum).
   void cut_level();
-  Node child(const Node& parent, const CutRequest& wanted, const CutFound& found, bool right);
+  Node child(const Node& parent, const CutFound& found, bool right);
   void finish_part(const Node& leaf);
   void reduce_bounds(std::span<Node> nodes);
   void cut_empty(const NodeRange& range);

@@ -27,28 +27,26 @@ std::vector<QuantisedPoint> points_up_to(Random& random, std::size_t count, std:
 constexpr std::array<std::size_t, 12> kDividedSizes{0, 1, 2, 3, 5, 8, 64, 511, 512, 513, 1024, 3001};
 
 TEST(Divide, MovesTheLesserOnesToTheFront) {
-  using Pass = QuantisedPoint* (*)(std::span<QuantisedPoint>, std::size_t, std::int32_t);
   Random random(20261129);
-  for (const Pass pass : {Pass{divide}, Pass{divide_few}, Pass{divide_few_right}})
-    for (const std::size_t count : kDividedSizes)
-      for (const std::uint64_t most : {std::uint64_t{0}, std::uint64_t{7}, std::uint64_t{LinearMaps::kTop}})
-        for (const bool sorted : {false, true})
-          for (const std::uint64_t eighths : {0U, 1U, 4U, 7U, 8U}) {
-            const std::size_t axis = random.below(geometry::kDimsMax);
-            const std::vector<QuantisedPoint> before = points_up_to(random, count, most, sorted);
-            const auto first_right = static_cast<std::int32_t>((most + 1) * eighths / 8);
-            SCOPED_TRACE(fmt::format("{} points up to {}, sorted {}, at {}", count, most, sorted, first_right));
-            std::vector<QuantisedPoint> points = before;
-            const auto left = pass(points, axis, first_right) - points.data();
-            const auto is_left = [&](const QuantisedPoint& point) { return point.q[axis] < first_right; };
-            ASSERT_EQ(left, std::ranges::count_if(before, is_left));
-            ASSERT_TRUE(std::all_of(points.begin(), points.begin() + left, is_left));
-            std::ranges::sort(points, {}, &QuantisedPoint::index);
-            for (std::size_t i = 0; i < count; ++i) {  // none is lost, doubled or torn
-              ASSERT_EQ(points[i].index, i);
-              ASSERT_EQ(points[i].q, before[i].q);
-            }
+  for (const std::size_t count : kDividedSizes)
+    for (const std::uint64_t most : {std::uint64_t{0}, std::uint64_t{7}, std::uint64_t{LinearMaps::kTop}})
+      for (const bool sorted : {false, true})
+        for (const std::uint64_t eighths : {0U, 1U, 4U, 7U, 8U}) {
+          const std::size_t axis = random.below(geometry::kDimsMax);
+          const std::vector<QuantisedPoint> before = points_up_to(random, count, most, sorted);
+          const auto first_right = static_cast<std::int32_t>((most + 1) * eighths / 8);
+          SCOPED_TRACE(fmt::format("{} points up to {}, sorted {}, at {}", count, most, sorted, first_right));
+          std::vector<QuantisedPoint> points = before;
+          const auto left = divide(points, axis, first_right) - points.data();
+          const auto is_left = [&](const QuantisedPoint& point) { return point.q[axis] < first_right; };
+          ASSERT_EQ(left, std::ranges::count_if(before, is_left));
+          ASSERT_TRUE(std::all_of(points.begin(), points.begin() + left, is_left));
+          std::ranges::sort(points, {}, &QuantisedPoint::index);
+          for (std::size_t i = 0; i < count; ++i) {  // none is lost, doubled or torn
+            ASSERT_EQ(points[i].index, i);
+            ASSERT_EQ(points[i].q, before[i].q);
           }
+        }
 }
 
 TEST(CountBins, AddsOneForEachPoint) {
@@ -59,13 +57,13 @@ TEST(CountBins, AddsOneForEachPoint) {
       const std::size_t axis = random.below(geometry::kDimsMax);
       const auto lo = static_cast<std::int32_t>(random.below(1U << 30U));
       std::vector<QuantisedPoint> points = points_up_to(random, count, (bins << shift) - 1, false);
-      std::vector<std::uint32_t> expected(bins, 3);
+      std::vector<std::uint64_t> expected(bins, 3);
       for (QuantisedPoint& point : points) {
         ++expected[at(point.q[axis]) / (std::size_t{1} << shift)];
         point.q[axis] += lo;
       }
-      std::vector<std::uint32_t> even(bins, 1);
-      std::vector<std::uint32_t> odd(bins, 2);
+      std::vector<std::uint64_t> even(bins, 1);
+      std::vector<std::uint64_t> odd(bins, 2);
       count_bins(points, axis, lo, shift, even, odd);
       for (std::size_t b = 0; b < bins; ++b) ASSERT_EQ(even[b] + odd[b], expected[b]) << count << " points, bin " << b;
     }

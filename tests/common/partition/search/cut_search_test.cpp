@@ -76,7 +76,7 @@ SearchScene random_scene(Random& random, int ranks, std::size_t nodes, bool weig
   for (std::size_t i = 0; i < count; ++i) {
     scene.set.id[i] = static_cast<Id>((i * 7919 % count + 5) * stride);
     if (weighted) scene.set.weight[i] = random.below(2) == 0 ? 0 : static_cast<double>(random.below(heaviest + 1));
-    scene.node.push_back(random.below(nodes));
+    scene.node.push_back(i < nodes ? i : random.below(nodes));  // none is empty
     scene.owner.push_back(random.below(static_cast<std::uint64_t>(ranks)));
     scene.opened.push_back(1);
   }
@@ -204,14 +204,14 @@ struct OwnPoints {
       }
     }
   }
-  // The integers are those of the particles again, whatever the search has done.
-  void expect_as_before(const SearchScene& scene, const CutFound& found,
-                        const std::vector<QuantisedPoint>& before) const {
+  // The integers are those of the particles again, whatever the search has done; if all lie in one place, but for those
+  // on axis 0.
+  void expect_as_before(const SearchScene& scene, bool one_place, const std::vector<QuantisedPoint>& before) const {
     std::vector<std::size_t> own;
     for (const Segment& segment : segments)
       for (const QuantisedPoint& point : segment.all()) {
         own.push_back(segment.base + point.index);
-        for (std::size_t a = found.ids_kept ? 1 : 0; a < at(scene.set.dims); ++a)
+        for (std::size_t a = one_place ? 1 : 0; a < at(scene.set.dims); ++a)
           EXPECT_EQ(point.q[a], scene.maps[a](scene.set.position[a][own.back()]));
       }
     EXPECT_EQ(own.size(), before.size());
@@ -245,10 +245,6 @@ CutRequest random_request(Random& random, SearchScene& scene, std::size_t node) 
     return judge.sorted;
   }();
   for (const auto& own : members) wanted.all += {1, scene.weight(own.particle)};
-  if (members.empty()) {
-    wanted.search = false;
-    return wanted;
-  }
   const std::uint64_t closed = random.below(4);  // of four particles outside of `within`, so many lie in wholes
   if (random.below(4) != 0) {
     const auto any = [&] { return members[random.below(members.size())].q; };
@@ -259,7 +255,6 @@ CutRequest random_request(Random& random, SearchScene& scene, std::size_t node) 
   for (const auto& own : members) {
     if (wanted.within.meets(own.q, own.q) || random.below(4) >= closed) continue;
     scene.opened[own.particle] = 0;
-    wanted.any_whole = true;
     if (own.q < wanted.within.lo) wanted.before += {1, scene.weight(own.particle)};
   }
   wanted.rank = random.below(wanted.all.count);
@@ -316,12 +311,12 @@ void try_random(comm::Comm& comm, std::uint64_t seed, bool weighted) {
   std::vector<OwnPoints> own;
   for (std::size_t n = 0; n < nodes; ++n) own.emplace_back(scene, n, comm.rank());
   for (std::size_t n = 0; n < nodes; ++n) {
-    wanted[n].points = {own[n].segments, Judge(scene, wanted[n], n).load(0, AxisMap::kTop), bounds_of(scene, n), {}};
-    if (wanted[n].any_whole || scene.node.empty()) continue;
+    wanted[n].points = {own[n].segments, Judge(scene, wanted[n], n).load(0, AxisMap::kTop), bounds_of(scene, n)};
     const QBounds& bounds = wanted[n].points.bounds;
+    bool one_place = wanted[n].within.lo == 0 && wanted[n].within.hi == AxisMap::kTop;
     for (std::size_t a = 0; a < at(scene.set.dims); ++a)
-      wanted[n].points.one_place.all =
-          bounds.lo[a] == bounds.hi[a] && scene.maps[a].lossless() && (a == 0 || wanted[n].points.one_place.all);
+      one_place = one_place && bounds.lo[a] == bounds.hi[a] && scene.maps[a].lossless();
+    wanted[n].points.one_place = one_place;
   }
   std::vector<std::vector<QuantisedPoint>> before;
   for (const OwnPoints& points : own) before.push_back(points.points);
@@ -331,8 +326,7 @@ void try_random(comm::Comm& comm, std::uint64_t seed, bool weighted) {
   const std::vector<CutFound> found = search.find(wanted);
   for (std::size_t n = 0; n < nodes; ++n) {
     SCOPED_TRACE(::testing::Message() << "node " << n);
-    own[n].expect_as_before(scene, found[n], before[n]);
-    if (!wanted[n].search) continue;
+    own[n].expect_as_before(scene, wanted[n].points.one_place, before[n]);
     Judge judge(scene, wanted[n], n);
     judge.cut();
     expect_cut(judge, found[n], own[n]);
@@ -362,9 +356,8 @@ TEST(CutSearch, IdsAreKeptWhereAllLieInOnePlace) {
     SearchCost cost;
     const particles::ParticleView view = scene.set.view();
     CutSearch search({comm, view, scene.maps, scene.scale, tuning, cost});
-    CutRequest wanted{
-        .points = {own.segments, {kCount, 0}, bounds_of(scene, 0), {}}, .axes = {1, 0, 2}, .keep_ids = true};
-    wanted.points.one_place.all = true;
+    CutRequest wanted{.points = {own.segments, {kCount, 0}, bounds_of(scene, 0)}, .axes = {1, 0, 2}};
+    wanted.points.one_place = true;
     std::uint64_t first = 0;
     for (std::uint64_t count = kCount; count > 1; count -= wanted.rank) {  // the right half
       wanted.rank = count / 2;
@@ -373,13 +366,15 @@ TEST(CutSearch, IdsAreKeptWhereAllLieInOnePlace) {
       first += wanted.rank;
       EXPECT_EQ(found.key[2], 1000 + 3 * first);
       EXPECT_EQ(found.left.count, wanted.rank);
-      wanted.points.one_place.id_first = static_cast<Id>(found.key[2]);
-      wanted.points.one_place.by_id = found.ids_kept;
+      EXPECT_TRUE(found.by_id);
+      wanted.points.by_id = true;
+      wanted.points.bounds.lo[0] = static_cast<std::int32_t>(3 * first);
+      wanted.points.bounds.hi[0] = static_cast<std::int32_t>(3 * (kCount - 1));
       for (Segment& segment : own.segments) {
         for (const QuantisedPoint& point : segment.all()) {
           const Id id = view.id[segment.base + point.index];
-          EXPECT_EQ(&point < segment.middle, id < wanted.points.one_place.id_first);
-          EXPECT_EQ(found.ids_kept ? point.q[0] : id - 1000, id - 1000);
+          EXPECT_EQ(&point < segment.middle, static_cast<std::uint64_t>(id) < found.key[2]);
+          EXPECT_EQ(point.q[0], id - 1000);
           EXPECT_EQ(point.q[1], scene.maps[1](0.5));
         }
         segment.first = segment.middle;
@@ -397,7 +392,7 @@ TEST(CutSearch, SlackIsNotExceeded) {
       SearchScene scene = random_scene(random, comm.size(), 1, false);
       OwnPoints own(scene, 0, comm.rank());
       const std::uint64_t count = scene.node.size();
-      CutRequest wanted{.points = {own.segments, {count, 0}, bounds_of(scene, 0), {}}};
+      CutRequest wanted{.points = {own.segments, {count, 0}, bounds_of(scene, 0)}};
       wanted.rank = random.below(count);
       wanted.slack = 1 + random.below(1 + count / 10);
       const Tuning tuning{.gather_max = 2, .bins_max = std::uint64_t{2} << random.below(8)};
