@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <bit>
 #include <cstring>
-#include <limits>
 
 #include "common/base/random.hpp"
 
@@ -184,13 +183,9 @@ std::uint64_t outside_own_rows(const T* rows, std::size_t count, const geometry:
 // The following are plain steps that compilers make vectors of.
 
 void scale(const double* weight, std::size_t count, std::int64_t scale, ScaledWeights& to) {
-  std::int64_t least = std::numeric_limits<std::int64_t>::max();
-  std::int64_t most = std::numeric_limits<std::int64_t>::min();
   std::uint64_t as_zero = 0;
   for (std::size_t i = 0; i < count; ++i) {
     const auto bits = std::bit_cast<std::int64_t>(weight[i]);
-    least = std::min(least, bits);
-    most = std::max(most, bits);
     const auto exponent = static_cast<std::int64_t>((static_cast<std::uint64_t>(bits) >> 52U) & 0x7FFU);
     const std::uint64_t significand = (static_cast<std::uint64_t>(bits) & 0xFFFFFFFFFFFFFU) |
                                       static_cast<std::uint64_t>(std::min<std::int64_t>(exponent, 1)) << 52U;
@@ -205,8 +200,6 @@ void scale(const double* weight, std::size_t count, std::int64_t scale, ScaledWe
     to.low[i] = low;
     to.high[i] = high;
   }
-  to.least = least;
-  to.most = most;
   to.as_zero = as_zero;
 }
 
@@ -217,14 +210,11 @@ QuickSum sum(const double* weight, std::size_t count, int scale) {
   const double at_middle = std::ldexp(1.5, QuickSum::kMiddle + 52 - scale);
   const Lanes limit = Lanes{} + std::ldexp(1.0, 52 - scale);
   const Lanes zero{};
-  Lanes upper{}, middle{}, lower{}, most{};
-  Lanes least = zero + std::numeric_limits<double>::infinity();
+  Lanes upper{}, middle{}, lower{};
   auto small = limit > limit;
   for (std::size_t i = 0; i < count; i += kLanes) {
     Lanes own;
     std::memcpy(&own, weight + i, sizeof own);
-    least = own < least ? own : least;
-    most = own > most ? own : most;
     small |= (own < limit) & (own > zero);
     const Lanes high = (own + at_upper) - at_upper;
     const Lanes rest = own - high;
@@ -233,13 +223,11 @@ QuickSum sum(const double* weight, std::size_t count, int scale) {
     middle += mid;
     lower += rest - mid;
   }
-  QuickSum to{0, 0, 0, least[0], most[0], false};
+  QuickSum to;
   for (std::size_t k = 0; k < kLanes; ++k) {
     to.upper += upper[k];
     to.middle += middle[k];
     to.lower += lower[k];
-    to.least = std::min(to.least, least[k]);
-    to.most = std::max(to.most, most[k]);
     to.small = to.small || small[k] != 0;
   }
   return to;
