@@ -157,15 +157,6 @@ LoadSummary moved_loads(comm::Comm& comm, const particles::ParticleView& particl
   return finished(std::move(now), sizes);
 }
 
-particles::Range weight_range(const particles::ParticleView& particles) {
-  if (particles.weight == nullptr) return {};
-  return particles::range_of({particles.weight, particles.count});
-}
-
-std::optional<double> greatest_weight(const particles::Range& all) {
-  return all.lo < all.hi ? std::optional(all.hi) : std::nullopt;
-}
-
 double quotient(u128 numerator, u128 denominator) {
   RCB_CHECK(denominator > 0, "a quotient needs a denominator");
   return rounded(Wide(numerator), Wide(denominator));
