@@ -89,19 +89,17 @@ class BoxTree {
   }
 
  private:
-  // Of the boxes of a subtree: the box around all, the greatest of their lower faces and the least of their upper
-  // faces.
+  // Of the boxes of a subtree: the box around all, and the one from the greatest of their lower faces to the least of
+  // their upper ones, which is as far from another box, along each axis, as the farthest of them.
   struct Bounds {
     geometry::Box around;
-    Point last_lo;
-    Point first_hi;
+    geometry::Box farthest;
   };
 
   NodeRange root() const { return {0, 0, static_cast<int>(leaves_.size())}; }
   Bounds of(const NodeRange& range) const {
     if (!range.leaf()) return inner_[at(range.node)];
-    const geometry::Box& box = leaves_[at(range.first)];
-    return {box, box.lo, box.hi};
+    return {leaves_[at(range.first)], leaves_[at(range.first)]};
   }
   void build(const NodeRange& range) {
     if (range.leaf()) return;
@@ -111,24 +109,21 @@ class BoxTree {
     const Bounds right = of(range.right());
     bounds.around.extend(right.around);
     for (std::size_t a = 0; a < dims_; ++a) {
-      bounds.last_lo[a] = std::max(bounds.last_lo[a], right.last_lo[a]);
-      bounds.first_hi[a] = std::min(bounds.first_hi[a], right.first_hi[a]);
+      bounds.farthest.lo[a] = std::max(bounds.farthest.lo[a], right.farthest.lo[a]);
+      bounds.farthest.hi[a] = std::min(bounds.farthest.hi[a], right.farthest.hi[a]);
     }
     inner_[at(range.node)] = bounds;
   }
-  bool is_near(const geometry::Box& leaf, const geometry::Box& box, const Within& within) const {
+  bool is_near(const geometry::Box& own, const geometry::Box& box, const Within& within) const {
     Point gaps{};
-    for (std::size_t a = 0; a < dims_; ++a) gaps[a] = gap_of(leaf, a, box.lo[a], box.hi[a]);
+    for (std::size_t a = 0; a < dims_; ++a) gaps[a] = gap_of(own, a, box.lo[a], box.hi[a]);
     return within(gaps);
-  }
-  bool all_near(const Bounds& bounds, const geometry::Box& box, const Within& within) const {
-    return is_near({bounds.last_lo, bounds.first_hi}, box, within);
   }
   template <typename Visit>
   std::uint64_t descend(const NodeRange& range, const geometry::Box& box, const Within& within,
                         const Visit& visit) const {
     if (!is_near(range.leaf() ? leaves_[at(range.first)] : inner_[at(range.node)].around, box, within)) return 1;
-    if (range.leaf() || all_near(inner_[at(range.node)], box, within)) {
+    if (range.leaf() || is_near(inner_[at(range.node)].farthest, box, within)) {
       visit(range.first, range.last);
       return 1;
     }

@@ -1,7 +1,6 @@
 #include "common/cuts/count.hpp"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <limits>
 #include <memory>
@@ -15,12 +14,11 @@
 #include "common/cuts/id_sum.hpp"
 #include "common/cuts/kernels.hpp"
 #include "common/cuts/owner_pass.hpp"
+#include "common/particles/block_ranges.hpp"
 #include "common/particles/value_fault.hpp"
 
 namespace rcb::cuts {
 namespace {
-
-constexpr std::int64_t kGreatestFinite = std::bit_cast<std::int64_t>(std::numeric_limits<double>::max());
 
 std::uint64_t differing(const std::int32_t* a, const std::int32_t* b, std::size_t count) {
   std::int32_t found = 0;
@@ -39,7 +37,8 @@ class CountPass {
         pass_(tables, positions, options.ids, options.last_part),
         parts_(at(tables.tree.parts)),
         counts_(parts_ * (kInTurn + 1)),
-        loads_(options.weights.empty() ? 0 : parts_) {}
+        loads_(options.weights.empty() ? 0 : parts_),
+        too_great_(std::ldexp(1.0, 127 - options.scale)) {}
 
   // At most Batch::kMost rows.
   Status add(std::size_t first, std::size_t count);
@@ -49,7 +48,7 @@ class CountPass {
   u128 load_of(std::size_t first, std::size_t count);
   void scale(std::size_t first, std::size_t count);
   Status add_ids(std::size_t first, std::size_t count);
-  void add_parts(std::size_t first, std::size_t count);
+  void add_parts(std::size_t first, std::size_t count, bool weighted);
   Status fault(std::size_t first, std::size_t count) const;
 
   // Rows that differ from their neighbours are counted in several tables in turn: else a sum of few parts would wait
@@ -63,10 +62,10 @@ class CountPass {
   std::size_t parts_;
   std::vector<std::uint64_t> counts_;
   std::vector<u128> loads_;
+  double too_great_;  // from this weight on a smaller scale is due
   Count sums_;
   double least_ = std::numeric_limits<double>::infinity();  // weight
   double most_ = 0;
-  bool wrong_weight_ = false;
   ScaledWeights scaled_;
   std::array<std::int32_t, Batch::kMost> before_;
 };
@@ -80,55 +79,57 @@ Status CountPass::add(std::size_t first, std::size_t count) {
   if (hinted) sums_.drifted += differing(part, before_.data(), count);
   if (options_.id_key && !options_.ids.empty())
     if (Status status = add_ids(first, count); !status) return status;
-  add_parts(first, count);
-  return std::exchange(wrong_weight_, false) ? fault(first, count) : Status();
+  bool weighted = !loads_.empty();
+  if (weighted) {
+    const particles::Range weights = particles::range_of(options_.weights.subspan(first, count));
+    if (!(weights.lo >= 0 && std::isfinite(weights.hi))) return fault(first, count);
+    least_ = std::min(least_, weights.lo);
+    most_ = std::max(most_, weights.hi);
+    weighted = weights.hi < too_great_;
+  }
+  add_parts(first, count, weighted);
+  return {};
 }
 
-void CountPass::add_parts(std::size_t first, std::size_t count) {
+void CountPass::add_parts(std::size_t first, std::size_t count, bool weighted) {
   const std::size_t run = pass_.uniform() >= 0 ? count : OwnerPass::kWord;
   for (std::size_t from = first; from < first + count; from += run) {
     const std::size_t size = std::min(run, first + count - from);
     const std::int32_t* const p = &part_[from];
     if (pass_.uniform() >= 0 || all_equal(p, size)) {
       counts_[at(p[0])] += size;
-      if (!loads_.empty()) loads_[at(p[0])] += load_of(from, size);
+      if (weighted) loads_[at(p[0])] += load_of(from, size);
       continue;
     }
     std::array<std::uint64_t*, kInTurn> table;
     for (std::size_t t = 0; t < kInTurn; ++t) table[t] = &counts_[(1 + t) * parts_];
     for (std::size_t i = 0; i < size; ++i) ++table[i % kInTurn][p[i]];
-    if (loads_.empty()) continue;
+    if (!weighted) continue;
     scale(from, size);
     for (std::size_t i = 0; i < size; ++i) loads_[at(p[i])] += scaled_[i];
   }
 }
 
+// Of rows of one part.
 u128 CountPass::load_of(std::size_t first, std::size_t count) {
-  std::size_t done = count - count % QuickSum::kLanesMost;
   u128 load = 0;
-  const QuickSum quick = options_.scale < QuickSum::kScaleLeast
-                             ? QuickSum{.small = true}
-                             : kernels().sum(&options_.weights[first], done, options_.scale);
-  if (quick.usable(options_.scale)) {
-    load = quick.value(options_.scale);
-    least_ = std::min(least_, quick.least);
-    most_ = std::max(most_, quick.most);
-  } else {
-    done = 0;
+  std::size_t done = 0;
+  if (options_.scale >= QuickSum::kScaleLeast) {
+    const std::size_t most = count - count % QuickSum::kLanesMost;
+    const QuickSum quick = kernels().sum(&options_.weights[first], most, options_.scale);
+    if (!quick.small) {
+      load = quick.value(options_.scale);
+      done = most;
+    }
   }
   if (done == count) return load;
   scale(first + done, count - done);
-  return load + scaled_.sum(0, count - done);
+  return load + scaled_.sum(count - done);
 }
 
 void CountPass::scale(std::size_t first, std::size_t count) {
   kernels().scale(&options_.weights[first], count, options_.scale, scaled_);
   sums_.weights_as_zero += scaled_.as_zero;
-  const std::int64_t least = std::max<std::int64_t>(scaled_.least, 0);  // -0.0 is 0
-  const std::int64_t most = std::max<std::int64_t>(scaled_.most, 0);
-  wrong_weight_ = wrong_weight_ || scaled_.least < 0 || scaled_.most > kGreatestFinite;
-  least_ = std::min(least_, std::bit_cast<double>(least));
-  most_ = std::max(most_, std::bit_cast<double>(most));
 }
 
 Status CountPass::add_ids(std::size_t first, std::size_t count) {

@@ -26,7 +26,7 @@ struct Count {
   // that a smaller scale is due.
   std::vector<u128> loads;
   double least = 0, greatest = 0;     // weight; 0 without any
-  std::uint64_t weights_as_zero = 0;  // particles whose weight is above 0 and counts as 0 in this scale
+  std::uint64_t weights_as_zero = 0;  // likewise: particles whose weight is above 0 and counts as 0 in this scale
   std::uint64_t id_sum = 0;           // of mix64(id + key), mod 2^64
   std::uint64_t drifted = 0;          // rows whose part is not that of last_part; 0 without
 };

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <bit>
 #include <cstring>
-#include <limits>
 
 #include "common/base/random.hpp"
 
@@ -24,13 +23,13 @@ constexpr std::uint64_t kAll = (std::uint64_t{1} << hn::MaxLanes(D())) - 1;  // 
 
 // All cuts of the three levels are compared with each row, which is cheaper than looking up the one cut of each level
 // that matters.
-template <typename D>
-std::size_t descend_all(D d, const TopCuts& top, const double* x, std::size_t count, std::int32_t* out,
-                        std::uint8_t* tied) {
-  if constexpr (hn::MaxLanes(d) < 4) return 0;
+std::size_t descend(const TopCuts& top, const double* x, std::size_t count, std::int32_t* out, std::uint8_t* tied) {
+  const hn::ScalableTag<double> d;
+  using D = decltype(d);
   const hn::Rebind<std::uint32_t, D> narrow;
   const hn::RebindToUnsigned<D> wide;
   constexpr std::size_t kLanes = hn::MaxLanes(d);
+  if constexpr (kLanes < 4) return 0;
   const std::size_t end = count / kLanes * kLanes;
   hn::Vec<D> label[8];
   for (std::size_t k = 0; k < top.label.size(); ++k)
@@ -55,10 +54,6 @@ std::size_t descend_all(D d, const TopCuts& top, const double* x, std::size_t co
         tied[i + k] |= static_cast<std::uint8_t>(x[static_cast<std::size_t>(top.at[c]) + i + k] == top.value[c]);
   }
   return end;
-}
-
-std::size_t descend(const TopCuts& top, const double* x, std::size_t count, std::int32_t* out, std::uint8_t* tied) {
-  return descend_all(hn::ScalableTag<double>(), top, x, count, out, tied);
 }
 
 // The first rows, by bounds that are looked up in registers. Returns how many.
@@ -147,50 +142,43 @@ hn::Vec<D> load_as_double(D d, const float* x) {
   return hn::PromoteTo(d, hn::LoadU(hn::Rebind<float, D>(), x));
 }
 
-// A row at a time: of the four values that a load takes, three count, and the last row is left. Returns how many.
-template <typename T, typename D>
-std::size_t rows_outside(D d, const T* rows, std::size_t count, const geometry::Box* boxes, const std::int32_t* part,
-                         std::uint64_t& outside) {
-  static_assert(sizeof(geometry::Box) == 6 * sizeof(double), "lo, then hi");
-  if constexpr (hn::MaxLanes(d) < 4) return 0;
-  const hn::RebindToUnsigned<D> bits;
-  HWY_ALIGN constexpr std::array<std::int64_t, 4> kUpper{1, 2, 3, 3};
-  const auto upper = SetTableIndices(d, kUpper.data());
-  auto bit = hn::Set(bits, std::uint64_t{1});
-  auto found = hn::Zero(bits);
-  for (std::size_t i = 0; i + 1 < count; ++i) {
-    const double* const lo = boxes[part[i]].lo.data();
-    const auto x = load_as_double(d, rows + 3 * i);
-    const auto in = hn::And(hn::Gt(x, hn::LoadU(d, lo)), hn::Lt(x, TableLookupLanes(hn::LoadU(d, lo + 2), upper)));
-    found = hn::Or(found, hn::IfThenZeroElse(hn::RebindMask(bits, in), bit));
-    bit = hn::Add(bit, bit);
-  }
-  outside = any_lane<3>(found);
-  return count == 0 ? 0 : count - 1;
-}
-
 template <typename T>
 std::uint64_t outside_own_rows(const T* rows, std::size_t count, const geometry::Box* boxes, const std::int32_t* part) {
-  std::uint64_t bits = 0;
-  for (std::size_t i = rows_outside(hn::CappedTag<double, 4>(), rows, count, boxes, part, bits); i < count; ++i) {
-    const geometry::Box& box = boxes[part[i]];
-    bool inside = true;
-    for (std::size_t a = 0; a < 3; ++a) inside = inside & (rows[3 * i + a] > box.lo[a]) & (rows[3 * i + a] < box.hi[a]);
-    bits |= static_cast<std::uint64_t>(!inside) << i;
+  static_assert(sizeof(geometry::Box) == 6 * sizeof(double), "lo, then hi");
+  const hn::CappedTag<double, 4> d;
+  const hn::RebindToUnsigned<decltype(d)> bits;
+  std::uint64_t outside = 0;
+  std::size_t i = 0;
+  if constexpr (hn::MaxLanes(d) == 4) {
+    // A row at a time: of the four values that a load takes, three count, and the last row is left.
+    HWY_ALIGN constexpr std::array<std::int64_t, 4> kUpper{1, 2, 3, 3};
+    const auto upper = SetTableIndices(d, kUpper.data());
+    auto bit = hn::Set(bits, std::uint64_t{1});
+    auto found = hn::Zero(bits);
+    for (; i + 1 < count; ++i) {
+      const double* const lo = boxes[part[i]].lo.data();
+      const auto x = load_as_double(d, rows + 3 * i);
+      const auto in = hn::And(hn::Gt(x, hn::LoadU(d, lo)), hn::Lt(x, TableLookupLanes(hn::LoadU(d, lo + 2), upper)));
+      found = hn::Or(found, hn::IfThenZeroElse(hn::RebindMask(bits, in), bit));
+      bit = hn::Add(bit, bit);
+    }
+    outside = any_lane<3>(found);
   }
-  return bits;
+  for (; i < count; ++i) {
+    const geometry::Box& box = boxes[part[i]];
+    bool in = true;
+    for (std::size_t a = 0; a < 3; ++a) in = in & (rows[3 * i + a] > box.lo[a]) & (rows[3 * i + a] < box.hi[a]);
+    outside |= static_cast<std::uint64_t>(!in) << i;
+  }
+  return outside;
 }
 
 // The following are plain steps that compilers make vectors of.
 
 void scale(const double* weight, std::size_t count, std::int64_t scale, ScaledWeights& to) {
-  std::int64_t least = std::numeric_limits<std::int64_t>::max();
-  std::int64_t most = std::numeric_limits<std::int64_t>::min();
   std::uint64_t as_zero = 0;
   for (std::size_t i = 0; i < count; ++i) {
     const auto bits = std::bit_cast<std::int64_t>(weight[i]);
-    least = std::min(least, bits);
-    most = std::max(most, bits);
     const auto exponent = static_cast<std::int64_t>((static_cast<std::uint64_t>(bits) >> 52U) & 0x7FFU);
     const std::uint64_t significand = (static_cast<std::uint64_t>(bits) & 0xFFFFFFFFFFFFFU) |
                                       static_cast<std::uint64_t>(std::min<std::int64_t>(exponent, 1)) << 52U;
@@ -205,8 +193,6 @@ void scale(const double* weight, std::size_t count, std::int64_t scale, ScaledWe
     to.low[i] = low;
     to.high[i] = high;
   }
-  to.least = least;
-  to.most = most;
   to.as_zero = as_zero;
 }
 
@@ -217,14 +203,11 @@ QuickSum sum(const double* weight, std::size_t count, int scale) {
   const double at_middle = std::ldexp(1.5, QuickSum::kMiddle + 52 - scale);
   const Lanes limit = Lanes{} + std::ldexp(1.0, 52 - scale);
   const Lanes zero{};
-  Lanes upper{}, middle{}, lower{}, most{};
-  Lanes least = zero + std::numeric_limits<double>::infinity();
+  Lanes upper{}, middle{}, lower{};
   auto small = limit > limit;
   for (std::size_t i = 0; i < count; i += kLanes) {
     Lanes own;
     std::memcpy(&own, weight + i, sizeof own);
-    least = own < least ? own : least;
-    most = own > most ? own : most;
     small |= (own < limit) & (own > zero);
     const Lanes high = (own + at_upper) - at_upper;
     const Lanes rest = own - high;
@@ -233,13 +216,11 @@ QuickSum sum(const double* weight, std::size_t count, int scale) {
     middle += mid;
     lower += rest - mid;
   }
-  QuickSum to{0, 0, 0, least[0], most[0], false};
+  QuickSum to;
   for (std::size_t k = 0; k < kLanes; ++k) {
     to.upper += upper[k];
     to.middle += middle[k];
     to.lower += lower[k];
-    to.least = std::min(to.least, least[k]);
-    to.most = std::max(to.most, most[k]);
     to.small = to.small || small[k] != 0;
   }
   return to;

@@ -31,20 +31,17 @@ struct AxisBounds {
   std::int32_t first;
 };
 
-// Of at most kBatch weights: each as an integer in the scale, and the range of all. The bits of doubles that are not
-// negative compare as the doubles do; those of negative ones are below 0, of infinity and NaN above all finite ones.
+// Of at most kBatch weights, none of them too great for the scale: each as an integer in the scale.
 struct ScaledWeights {
   using Halves = std::array<std::uint64_t, kBatch>;
   alignas(64) Halves low;
   alignas(64) Halves high;
-  std::int64_t least;
-  std::int64_t most;
   std::uint64_t as_zero;
 
   u128 operator[](std::size_t i) const { return (u128{high[i]} << 64U) + low[i]; }
-  u128 sum(std::size_t first, std::size_t count) const {
+  u128 sum(std::size_t count) const {
     std::uint64_t quarter = 0, half = 0, rest = 0;  // a load is below 2^127, so `rest` is whole
-    for (std::size_t i = first; i < first + count; ++i) {
+    for (std::size_t i = 0; i < count; ++i) {
       quarter += low[i] & 0xFFFFFFFFU;
       half += low[i] >> 32U;
       rest += high[i];
@@ -53,21 +50,17 @@ struct ScaledWeights {
   }
 };
 
-// Sums weights of one part three times as fast, where each is 0 or so large that its last bit counts in the scale (that
-// is, within 2^55 of the greatest for a million particles). Each is split into three doubles of so few bits that 512 of
-// them are added without rounding: ExtractVector of Rump, Ogita, Oishi 2008, doi:10.1137/050645671.
+// Sums such weights of one part three times as fast, where each is 0 or so large that its last bit counts in the scale
+// (that is, within 2^55 of the greatest for a million particles). Each is split into three doubles of so few bits that
+// 512 of them are added without rounding: ExtractVector of Rump, Ogita, Oishi 2008, doi:10.1137/050645671.
 struct QuickSum {
-  double upper, middle, lower;  // of the weights; NaN if one of them is not finite
-  double least, most;
-  bool small;  // there is one that is rounded in the scale, and the sum is of no use
+  double upper = 0, middle = 0, lower = 0;
+  bool small = false;  // there is one that is rounded in the scale, and the sum is of no use
 
   static constexpr std::size_t kLanesMost = 8;     // it takes multiples of them
   static constexpr int kMiddle = 35, kUpper = 75;  // binades above the last place of the scale where the splits are
   static constexpr int kScaleLeast = -890;         // so that no sum overflows
 
-  bool usable(int scale) const {
-    return !small && least >= 0 && std::isfinite(upper + middle + lower) && most < std::ldexp(1.0, 126 - scale);
-  }
   u128 value(int scale) const {
     const auto whole = [scale](double sum, int place) {
       return static_cast<u128>(static_cast<std::int64_t>(std::ldexp(sum, scale - place)))

@@ -17,42 +17,20 @@ namespace {
 using Wide = boost::multiprecision::uint512_t;
 
 // numerator / denominator * 2^exponent, rounded once (ties to even), subnormal results too. Both below 2^256.
-double rounded(Wide numerator, Wide denominator, int exponent = 0) {
+double rounded(const Wide& numerator, const Wide& denominator, int exponent = 0) {
   if (numerator == 0) return 0;
-  int magnitude =
-      static_cast<int>(msb(numerator)) - static_cast<int>(msb(denominator));  // of the quotient, or one more
-  if (magnitude >= 0 ? numerator < (denominator << magnitude) : (numerator << -magnitude) < denominator) --magnitude;
-  const int result = magnitude + exponent;
-  const int bits = result >= -1022 ? 53 : std::max(53 + 1022 + result, -1);  // significant bits
-  const int shift = bits - 1 - magnitude;
-  if (shift >= 0)
-    numerator <<= shift;
-  else
-    denominator <<= -shift;
+  if (exponent == 0 && msb(numerator) < 53 && msb(denominator) < 53)  // doubles hold both
+    return static_cast<double>(static_cast<std::uint64_t>(numerator)) /
+           static_cast<double>(static_cast<std::uint64_t>(denominator));
+  // At most 56 bits of the quotient, of which the last is set if anything is left. It is so far below the last bit of a
+  // double, at least two places below that of a subnormal one, that it only says which way to round.
+  const int most = 55 + static_cast<int>(msb(denominator)) - static_cast<int>(msb(numerator));
+  const int shift = std::max(std::min(most, 1076 + exponent), -256);
   Wide whole;
   Wide rest;
-  divide_qr(numerator, denominator, whole, rest);
-  auto significand = static_cast<std::uint64_t>(whole);
-  rest <<= 1;
-  if (rest > denominator || (rest == denominator && (significand & 1U) != 0)) ++significand;
-  return std::ldexp(static_cast<double>(significand), exponent - shift);
-}
-
-// Likewise where a double holds both: one rounding.
-double rounded(u128 numerator, u128 denominator) {
-  return static_cast<double>(numerator) / static_cast<double>(denominator);
-}
-
-// True if a double holds a * b and every smaller whole number exactly.
-bool fit_together(u128 a, u128 b) {
-  constexpr u128 half = u128{1} << 64U;
-  return a < half && b < half && a * b < (u128{1} << 53U);
-}
-
-// a * b / c * 2^exponent, rounded once; c > 0.
-double quotient_of_product(u128 a, u128 b, u128 c, int exponent) {
-  if (exponent == 0 && fit_together(a, b) && fit_together(c, 1)) return rounded(a * b, c);
-  return rounded(Wide(a) * b, Wide(c), exponent);
+  divide_qr(shift > 0 ? Wide(numerator << shift) : numerator, shift < 0 ? Wide(denominator << -shift) : denominator,
+            whole, rest);
+  return std::ldexp(static_cast<double>(static_cast<std::uint64_t>(whole) | (rest == 0 ? 0U : 1U)), exponent - shift);
 }
 
 // With what follows from counts and loads: error, imbalance, targets.
@@ -65,19 +43,14 @@ LoadSummary finished(LoadSummary summary, std::span<const double> sizes) {
   summary.error = 0;
   summary.imbalance = total == 0 ? 1 : 0;
   for (std::size_t p = 0; p < shares.size() && total > 0; ++p) {
-    const auto compare = [&]<typename T>(const T& has, const T& should) {
-      summary.part_errors[p] = rounded(has > should ? T(has - should) : T(should - has), should);
-      // Rounding is monotonic: the maximum of the rounded errors is the maximum error, rounded.
-      summary.error = std::max(summary.error, summary.part_errors[p]);
-      summary.imbalance = std::max(summary.imbalance, rounded(has, should));
-    };
-    const u128 load = summary.loads[p];
-    if (fit_together(load, all) && fit_together(total, shares[p]))
-      compare(load * all, total * shares[p]);
-    else
-      compare(Wide(Wide(load) * all), Wide(Wide(total) * shares[p]));
-    summary.targets[p] = quotient_of_product(total, shares[p], all, -summary.scale_exponent);
-    summary.load_values[p] = quotient_of_product(load, 1, 1, -summary.scale_exponent);
+    const Wide has = Wide(summary.loads[p]) * all;
+    const Wide should = Wide(total) * shares[p];
+    summary.part_errors[p] = rounded(has > should ? has - should : should - has, should);
+    // Rounding is monotonic: the maximum of the rounded errors is the maximum error, rounded.
+    summary.error = std::max(summary.error, summary.part_errors[p]);
+    summary.imbalance = std::max(summary.imbalance, rounded(has, should));
+    summary.targets[p] = rounded(should, Wide(all), -summary.scale_exponent);
+    summary.load_values[p] = rounded(Wide(summary.loads[p]), Wide(1), -summary.scale_exponent);
   }
   return summary;
 }
@@ -184,18 +157,9 @@ LoadSummary moved_loads(comm::Comm& comm, const particles::ParticleView& particl
   return finished(std::move(now), sizes);
 }
 
-particles::Range weight_range(const particles::ParticleView& particles) {
-  if (particles.weight == nullptr) return {};
-  return particles::range_of({particles.weight, particles.count});
-}
-
-std::optional<double> greatest_weight(const particles::Range& all) {
-  return all.lo < all.hi ? std::optional(all.hi) : std::nullopt;
-}
-
 double quotient(u128 numerator, u128 denominator) {
   RCB_CHECK(denominator > 0, "a quotient needs a denominator");
-  return quotient_of_product(numerator, 1, denominator, 0);
+  return rounded(Wide(numerator), Wide(denominator));
 }
 
 }  // namespace rcb::partition

@@ -26,10 +26,14 @@ std::vector<std::uint64_t> quotas(std::uint64_t n, std::span<const double> sizes
 std::uint64_t floor_share(std::uint64_t n, u128 part, u128 whole);
 
 // The range of the weights; empty if there are none. Local.
-particles::Range weight_range(const particles::ParticleView& particles);
+inline particles::Range weight_range(const particles::ParticleView& particles) {
+  return particles::range_of({particles.weight, particles.weight == nullptr ? 0 : particles.count});
+}
 // The greatest weight, from the range of all ranks' weights; nullopt where weights don't count: absent on all ranks,
 // all equal, or all zero. Local.
-std::optional<double> greatest_weight(const particles::Range& all);
+inline std::optional<double> greatest_weight(const particles::Range& all) {
+  return all.lo < all.hi ? std::optional(all.hi) : std::nullopt;
+}
 
 // Particles and, where weights count, their weight in the scene's scale.
 struct Load {

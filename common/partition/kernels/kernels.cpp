@@ -193,18 +193,13 @@ void widen(QBounds& bounds, std::span<const QuantisedPoint> points) {
     auto hi = hn::Load(d, most.data() + a);
     auto other_lo = lo;
     auto other_hi = hi;
-    std::size_t i = 0;
-    for (; i + 2 <= points.size(); i += 2) {
+    for (std::size_t i = 0; i < points.size(); i += 2) {
       const auto own = hn::Load(d, points[i].q.data() + a);
-      const auto other = hn::Load(d, points[i + 1].q.data() + a);
+      const auto other = hn::Load(d, points[std::min(i + 1, points.size() - 1)].q.data() + a);
       lo = hn::Min(lo, own);
       hi = hn::Max(hi, own);
       other_lo = hn::Min(other_lo, other);
       other_hi = hn::Max(other_hi, other);
-    }
-    if (i < points.size()) {
-      lo = hn::Min(lo, hn::Load(d, points[i].q.data() + a));
-      hi = hn::Max(hi, hn::Load(d, points[i].q.data() + a));
     }
     hn::Store(hn::Min(lo, other_lo), d, least.data() + a);
     hn::Store(hn::Max(hi, other_hi), d, most.data() + a);

@@ -112,6 +112,26 @@ TEST(Load, ErrorMeetsAToleranceExactly) {
   EXPECT_EQ(summary.targets, (std::vector<double>{10, 10, 10, 10}));
 }
 
+// In a scale for weights next to the least double there is, loads are subnormal.
+TEST(Load, IsRoundedOnceWhereItIsSubnormal) {
+  Random random(kLoadSeed);
+  std::uint64_t subnormal = 0;
+  for (int i = 0; i < 3000; ++i) {
+    const std::vector<u128> loads{random_wide(random) >> 3U, random_wide(random) >> 3U, random_wide(random) >> 3U};
+    const int scale = 1000 + static_cast<int>(random.below(201));
+    const LoadSummary got = summarise_weighted({1, 1, 1}, loads, scale, 0, {});
+    const Number unit(1, Integer(1) << scale);
+    const Number target = (Integer(loads[0]) + Integer(loads[1]) + Integer(loads[2])) * unit / 3;
+    for (std::size_t p = 0; p < loads.size(); ++p) {
+      expect_nearest(got.load_values[p], Integer(loads[p]) * unit);
+      expect_nearest(got.targets[p], target);
+      subnormal += std::fpclassify(got.load_values[p]) == FP_SUBNORMAL ? 1U : 0U;
+    }
+    if (HasFatalFailure()) return;
+  }
+  EXPECT_GT(subnormal, 500U);
+}
+
 TEST(Load, NoParticles) {
   const LoadSummary summary = summarise_counts({0, 0}, {});
   EXPECT_EQ(summary.error, 0);
