@@ -18,7 +18,7 @@ struct Interval {
 
   static constexpr Interval everything() { return {0, LinearMaps::kTop}; }
   bool empty() const { return lo > hi; }
-  bool meets(std::int32_t low, std::int32_t high) const { return low <= hi && high >= lo; }
+  bool meets(const Interval& other) const { return other.lo <= hi && other.hi >= lo; }
 };
 
 // While a cut is searched, the points before `middle` are known to go left, those from `upper` on to go right, and

@@ -1,7 +1,7 @@
 // Room `search`: the exact cuts of a tree, level by level. Entry: TreeSearch (tree_search.hpp). No optimisation may
 // change the tree: tests/common/partition compares it with brute force.
 //
-// Node: a node of the tree before its cut is known.
+// Node: a node of the tree before its cut is known; and Wholes, what its wholes tell of the cut.
 #pragma once
 
 #include <cstdint>
@@ -24,11 +24,43 @@ struct Node {
   bool empty() const { return wholes.empty() && points.bounds.empty(); }
 };
 
-// The bounding box of some buckets.
-inline geometry::Box box_of(std::span<const Bucket> buckets, std::span<const std::int32_t> some) {
-  geometry::Box box;
-  for (const std::int32_t b : some) box.extend(buckets[static_cast<std::size_t>(b)].box);
-  return box;
-}
+geometry::Box box_of(std::span<const Bucket> buckets, std::span<const std::int32_t> some);
+
+// The wholes of a node on its cut axis. All is local. A load is a count or, with weights, a weight. `wanted`: the
+// prefix of keys that reaches this load ends with the wanted key.
+class Wholes {
+ public:
+  Wholes(std::span<const Bucket> buckets, const Node& node, bool weighted)
+      : buckets_(buckets), node_(node), weighted_(weighted) {}
+
+  Interval span(std::int32_t bucket) const;
+  bool meets(const Interval& interval) const;
+  // Of those that lie in this region.
+  Load load_in(const Interval& region) const;
+  // The first integer of any above this one; kTop: there is none.
+  std::int32_t first_above(std::int32_t integer) const;
+
+  // Between the wholes that are meant for the left and those for the right. Empty if these don't lie apart, since the
+  // cut lies across another axis than expected.
+  Interval gap() const;
+  // Between the wholes below the likely key and those above it: it is assumed that each whole's load lies in its
+  // middle, and half of that of the points below the key. There must be a whole.
+  Interval likely(u128 wanted) const;
+  // The key at which the prefix of the wholes and of points in this region reaches `wanted` > 0 has an integer in this
+  // interval.
+  //   loose  the load of those points, wherever in the region they are
+  Interval certain(const Interval& region, u128 loose, u128 wanted) const;
+
+ private:
+  u128 load(std::int32_t bucket) const {
+    const Load& own = buckets_[at(bucket)].load;
+    return weighted_ ? own.weight : u128{own.count};
+  }
+  std::vector<std::int32_t> in(const Interval& region) const;
+
+  std::span<const Bucket> buckets_;
+  const Node& node_;
+  bool weighted_;
+};
 
 }  // namespace rcb::partition

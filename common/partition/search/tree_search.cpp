@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <numeric>
 #include <utility>
 
 #include "common/base/check.hpp"
@@ -71,11 +70,6 @@ u128 TreeSearch::load_wanted(const CutRequest& wanted) const {
   return start_.scale ? threshold_of(wanted) : u128{wanted.rank} + 1;
 }
 
-Interval TreeSearch::span_of(std::int32_t bucket, std::size_t axis) const {
-  const QBounds& q = start_.buckets[at(bucket)].q;
-  return {q.lo[axis], q.hi[axis]};
-}
-
 Load TreeSearch::load_of(std::span<const std::int32_t> buckets) const {
   Load load;
   for (const std::int32_t b : buckets) load += start_.buckets[at(b)].load;
@@ -104,71 +98,6 @@ CutRequest TreeSearch::request_of(const Node& node) const {
   return wanted;
 }
 
-// Between the wholes that are meant for the left and those for the right; empty if these don't lie apart, since the cut
-// lies across another axis than expected. If cuts above did, the wholes were meant for other parts than the node's.
-Interval TreeSearch::gap(const Node& node) const {
-  NodeRange meant{.first = options_.parts, .last = 0};
-  for (const std::int32_t b : node.wholes) {
-    meant.first = std::min(meant.first, start_.buckets[at(b)].first);
-    meant.last = std::max(meant.last, start_.buckets[at(b)].last);
-  }
-  const bool own_parts = meant.first >= node.range.first && meant.last <= node.range.last;
-  const int middle = (own_parts ? node.range : meant).middle();
-  Interval gap = Interval::everything();
-  for (const std::int32_t b : node.wholes) {
-    const Interval own = span_of(b, at(node.axes[0]));
-    const Bucket& bucket = start_.buckets[at(b)];
-    if (bucket.last <= middle) gap.lo = std::max(gap.lo, own.hi + 1);
-    if (bucket.first >= middle) gap.hi = std::min(gap.hi, own.lo - 1);
-  }
-  return gap;
-}
-
-// Between the wholes below the likely key and those above it: it is assumed that each whole's load lies in its middle,
-// and half of that of points below the key.
-Interval TreeSearch::likely(const Node& node, u128 wanted) const {
-  const auto axis = at(node.axes[0]);
-  const auto middle_of = [&](std::int32_t b) { return std::midpoint(span_of(b, axis).lo, span_of(b, axis).hi); };
-  std::vector<std::int32_t> wholes = node.wholes;
-  std::ranges::sort(wholes, {}, middle_of);
-  u128 before = amount(node.points.load) / 2;
-  const auto reached = std::ranges::find_if(
-      wholes, [&](std::int32_t b) { return (before += amount(start_.buckets[at(b)].load)) >= wanted; });
-  const std::int32_t key = middle_of(reached == wholes.end() ? wholes.back() : *reached);
-  Interval likely = Interval::everything();
-  for (const std::int32_t b : wholes) {
-    const Interval own = span_of(b, axis);
-    if (own.hi < key) likely.lo = std::max(likely.lo, own.hi + 1);
-    if (own.lo > key) likely.hi = std::min(likely.hi, own.lo - 1);
-  }
-  return likely;
-}
-
-Interval TreeSearch::certain(std::span<const std::int32_t> wholes, std::size_t axis, Interval region, u128 loose,
-                             u128 wanted) const {
-  struct End {
-    std::int32_t integer;
-    u128 load;
-  };
-  // The least integer up to which, with what these ends count, there is enough.
-  const auto reaches = [wanted](std::vector<End>& ends, u128 load, std::int32_t otherwise) {
-    std::ranges::sort(ends, {}, &End::integer);
-    for (const End& end : ends)
-      if ((load += end.load) >= wanted) return end.integer;
-    return otherwise;
-  };
-  std::vector<End> begins;
-  std::vector<End> ends;
-  for (const std::int32_t b : wholes) {
-    const Interval own = span_of(b, axis);
-    const u128 load = amount(start_.buckets[at(b)].load);
-    begins.push_back({own.lo, load});
-    ends.push_back({own.hi, load});
-  }
-  const std::int32_t lo = loose >= wanted ? region.lo : reaches(begins, loose, region.hi);
-  return {std::max(region.lo, lo), std::min(region.hi, reaches(ends, 0, region.hi))};
-}
-
 std::vector<TreeSearch::Pending> TreeSearch::begin_level() {
   std::vector<Pending> pending;
   wanted_.clear();
@@ -176,31 +105,22 @@ std::vector<TreeSearch::Pending> TreeSearch::begin_level() {
     const Node& node = level_[n];
     CutRequest& wanted = wanted_.emplace_back(request_of(node));
     if (!start_.scale && wanted.rank == node.load.count) continue;  // nothing goes right
-    wanted.within = gap(node);
-    if (wanted.within.empty()) wanted.within = likely(node, load_wanted(wanted));
+    const Wholes wholes = wholes_of(node);
+    wanted.within = wholes.gap();
+    if (wanted.within.empty()) wanted.within = wholes.likely(load_wanted(wanted));
     pending.push_back({n, wanted.within});
   }
   return pending;
 }
 
-TreeSearch::Sides TreeSearch::sides_of(std::size_t n) const {
-  Sides sides;
-  for (const std::int32_t b : level_[n].wholes)
-    (span_of(b, at(level_[n].axes[0])).hi < wanted_[n].within.lo ? sides.below : sides.above).push_back(b);
-  return sides;
-}
-
 bool TreeSearch::open(std::span<const Pending> pending) {
   std::vector<std::int32_t> unmade;
-  for (const auto& [n, interval] : pending) {
-    const auto axis = at(level_[n].axes[0]);
+  for (const auto& [n, interval] : pending)
     for (const std::int32_t b : level_[n].wholes) {
-      const Interval own = span_of(b, axis);
-      if (!interval.meets(own.lo, own.hi) || std::exchange(start_.buckets[at(b)].made, true)) continue;
+      if (!interval.meets(wholes_of(level_[n]).span(b)) || std::exchange(start_.buckets[at(b)].made, true)) continue;
       unmade.push_back(b);
       result_.opened += start_.buckets[at(b)].load.count;
     }
-  }
   if (result_.opened > start_.made_max) return false;
   if (!unmade.empty()) {
     const Lossless lossless = start_.make_points(unmade);
@@ -209,11 +129,8 @@ bool TreeSearch::open(std::span<const Pending> pending) {
   }
   for (const auto& [n, interval] : pending) {
     Node& node = level_[n];
-    const auto meets = [&, axis = at(node.axes[0])](std::int32_t b) {
-      const Interval own = span_of(b, axis);
-      return interval.meets(own.lo, own.hi);
-    };
-    const auto opened = std::ranges::stable_partition(node.wholes, std::not_fn(meets));
+    const auto opened = std::ranges::stable_partition(
+        node.wholes, [&, wholes = wholes_of(node)](std::int32_t b) { return !interval.meets(wholes.span(b)); });
     for (const std::int32_t b : opened) {
       for (Segment& segment : start_.points.take(at(b))) {
         kernels().widen(segment.bounds, segment.all());
@@ -242,7 +159,7 @@ bool TreeSearch::search_level() {
       own.points = node.points;
       own.points.segments = node.segments;
       own.points.one_place = node.points.one_place && node.wholes.empty();
-      own.before = load_of(sides_of(n).below);
+      own.before = wholes_of(node).load_in({0, own.within.lo - 1});
       asked.push_back(own);
     }
     const std::vector<CutFound> found = search_.find(asked);
@@ -255,25 +172,22 @@ std::vector<TreeSearch::Pending> TreeSearch::check(std::span<const Pending> pend
   std::vector<Pending> again;
   for (std::size_t k = 0; k < pending.size(); ++k) {
     const std::size_t n = pending[k].node;
-    const auto axis = at(level_[n].axes[0]);
+    const Wholes wholes = wholes_of(level_[n]);
     CutRequest& wanted = wanted_[n];
     const CutFound& own = found_[n] = found[k];
-    const Sides sides = sides_of(n);
     Interval to_open = own.relied_on;
     if (own.where == CutFound::Where::below) {
       to_open = wanted.within =
-          certain(sides.below, axis, {0, wanted.within.lo - 1}, amount(own.points_below), load_wanted(wanted));
+          wholes.certain({0, wanted.within.lo - 1}, amount(own.points_below), load_wanted(wanted));
     } else if (own.where == CutFound::Where::above) {
       const u128 before = amount(wanted.before + own.points_below + own.points_within);
       const u128 loose = amount(wanted.points.load - own.points_below - own.points_within);
       to_open = wanted.within =
-          certain(sides.above, axis, {wanted.within.hi + 1, AxisMap::kTop}, loose, load_wanted(wanted) - before);
+          wholes.certain({wanted.within.hi + 1, AxisMap::kTop}, loose, load_wanted(wanted) - before);
     } else if (to_open.hi == AxisMap::kTop) {  // the next key above isn't a point's: the nearest whole has one
-      for (const std::int32_t b : sides.above) to_open.hi = std::min(to_open.hi, span_of(b, axis).lo);
+      to_open.hi = wholes.first_above(wanted.within.hi);
     }
-    const auto meets = [&](std::int32_t b) { return to_open.meets(span_of(b, axis).lo, span_of(b, axis).hi); };
-    if (own.where != CutFound::Where::within || std::ranges::any_of(level_[n].wholes, meets))
-      again.push_back({n, to_open});
+    if (own.where != CutFound::Where::within || wholes.meets(to_open)) again.push_back({n, to_open});
   }
   return again;
 }
@@ -311,11 +225,10 @@ Node TreeSearch::child(const Node& parent, const CutFound& found, bool right) {
   Node own{.range = right ? parent.range.right() : parent.range.left()};
   const Load left = found.right_empty ? parent.load : found.left;
   own.load = right ? parent.load - left : left;
-  const auto axis = at(parent.axes[0]);
   const std::int32_t key =
-      found.right_empty ? AxisMap::kTop : start_.maps[axis](geometry::value_of_order_bits(found.key[0]));
+      found.right_empty ? AxisMap::kTop : start_.maps[at(parent.axes[0])](geometry::value_of_order_bits(found.key[0]));
   for (const std::int32_t b : parent.wholes) {
-    const Interval span = span_of(b, axis);
+    const Interval span = wholes_of(parent).span(b);
     const bool goes_right = !found.right_empty && span.lo > key;
     RCB_CHECK(found.right_empty || goes_right || span.hi < key, "a cut leaves wholes whole");
     if (goes_right == right) own.wholes.push_back(b);

@@ -57,30 +57,15 @@ class TreeSearch {
     std::size_t node;
     Interval to_open;
   };
-  // Those wholes of a node that lie below an interval and those above it.
-  struct Sides {
-    std::vector<std::int32_t> below;
-    std::vector<std::int32_t> above;
-  };
-
   u128 load_wanted(const CutRequest& wanted) const;
   u128 amount(const Load& load) const { return start_.scale ? load.weight : u128{load.count}; }
-  // Of a bucket, on an axis.
-  Interval span_of(std::int32_t bucket, std::size_t axis) const;
+  Wholes wholes_of(const Node& node) const { return {start_.buckets, node, start_.scale.has_value()}; }
   Load load_of(std::span<const std::int32_t> buckets) const;
 
   // A level's requests, and where their keys are looked for first. Local.
   std::vector<Pending> begin_level();
   CutRequest request_of(const Node& node) const;
   u128 slack_of(const Node& node) const;
-  Interval gap(const Node& node) const;
-  Interval likely(const Node& node, u128 wanted) const;
-  // The key at which the prefix of these wholes and of points in `region` reaches `wanted` > 0 has an integer in this
-  // interval. Local.
-  //   loose  the load of those points, wherever in `region` they are
-  Interval certain(std::span<const std::int32_t> wholes, std::size_t axis, Interval region, u128 loose,
-                   u128 wanted) const;
-  Sides sides_of(std::size_t node) const;
   // Opens those wholes of nodes. False if too many points would be made. Collective (one minimum at most).
   bool open(std::span<const Pending> pending);
   // The nodes that must be searched again. Local.

@@ -150,7 +150,7 @@ struct Judge {
   }
   bool relied_on_meets_whole(const CutFound& found) const {
     for (std::size_t k = 0; k < sorted.size(); ++k)
-      if (!point(k) && found.relied_on.meets(sorted[k].q, sorted[k].q)) return true;
+      if (!point(k) && found.relied_on.meets({sorted[k].q, sorted[k].q})) return true;
     return false;
   }
   // The interval that a cut depends on, from the points alone.
@@ -253,7 +253,7 @@ CutRequest random_request(Random& random, SearchScene& scene, std::size_t node) 
     if (random.below(4) == 0 && wanted.within.lo < AxisMap::kTop) wanted.within.hi = ++wanted.within.lo;
   }
   for (const auto& own : members) {
-    if (wanted.within.meets(own.q, own.q) || random.below(4) >= closed) continue;
+    if (wanted.within.meets({own.q, own.q}) || random.below(4) >= closed) continue;
     scene.opened[own.particle] = 0;
     if (own.q < wanted.within.lo) wanted.before += {1, scene.weight(own.particle)};
   }
