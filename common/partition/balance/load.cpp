@@ -16,7 +16,8 @@ namespace {
 
 using Wide = boost::multiprecision::uint512_t;
 
-// numerator / denominator * 2^exponent, rounded once (ties to even), subnormal results too. Both below 2^256.
+// numerator / denominator * 2^exponent, rounded once (ties to even), subnormal results too. Both below 2^256; the
+// denominator, where the exponent is that of a scale (at least -1300), below 2^128.
 double rounded(const Wide& numerator, const Wide& denominator, int exponent = 0) {
   if (numerator == 0) return 0;
   if (exponent == 0 && msb(numerator) < 53 && msb(denominator) < 53)  // doubles hold both
@@ -25,7 +26,7 @@ double rounded(const Wide& numerator, const Wide& denominator, int exponent = 0)
   // At most 56 bits of the quotient, of which the last is set if anything is left. It is so far below the last bit of a
   // double, at least two places below that of a subnormal one, that it only says which way to round.
   const int most = 55 + static_cast<int>(msb(denominator)) - static_cast<int>(msb(numerator));
-  const int shift = std::max(std::min(most, 1076 + exponent), -256);
+  const int shift = std::min(most, 1076 + exponent);
   Wide whole;
   Wide rest;
   divide_qr(shift > 0 ? Wide(numerator << shift) : numerator, shift < 0 ? Wide(denominator << -shift) : denominator,
