@@ -105,8 +105,7 @@ void choose_in_group(SearchContext& context, NodeStates nodes) {
 // The key nearest to each bound: after it or, if backward, before it and with weight > 0. Where there is none, the
 // greatest key that there can be; if backward, the least. Collective.
 std::vector<KeyWords> nearest(SearchContext& context, NodeStates nodes, bool backward) {
-  const KeyWords none = backward ? kLeastKey : kGreatestKey;
-  std::vector<KeyWords> keys(nodes.size(), none);
+  std::vector<KeyWords> keys(nodes.size(), backward ? kLeastKey : kGreatestKey);
   const auto offer = [&](std::size_t n, const KeyWords& key) {
     keys[n] = backward ? std::max(keys[n], key) : std::min(keys[n], key);
   };
@@ -118,16 +117,11 @@ std::vector<KeyWords> nearest(SearchContext& context, NodeStates nodes, bool bac
         const KeyWords& bound = nodes[n]->neighbour.bound;
         if (backward ? key < bound && context.weight(particle) > 0 : bound < key) offer(n, key);
       }
-  struct Offer {
-    std::uint64_t n;
-    KeyWords key;
-  };
-  const std::size_t group = comm::kMessageBytesMax / sizeof(Offer) / at(context.comm.size()) + 1;
+  const std::size_t group = comm::kMessageBytesMax / sizeof(KeyWords) / at(context.comm.size()) + 1;
   for (std::size_t first = 0; first < nodes.size(); first += group) {
-    std::vector<Offer> mine;
-    for (std::size_t n = first; n < std::min(first + group, nodes.size()); ++n)
-      if (keys[n] != none) mine.push_back({n, keys[n]});
-    for (const Offer& own : comm::all_gather_few_values<Offer>(context.comm, mine)) offer(own.n, own.key);
+    const std::size_t count = std::min(group, nodes.size() - first);
+    const auto all = comm::all_gather_few_values<KeyWords>(context.comm, std::span(keys).subspan(first, count));
+    for (std::size_t k = 0; k < all.size(); ++k) offer(first + k % count, all[k]);
     ++context.cost.reductions;
   }
   return keys;

@@ -98,7 +98,7 @@ void take(NodeState& node, const Crossing& crossing) {
 
 void start(NodeState& node) {
   const bool weighted = node.context.weighted();
-  const auto& [segments, load, bounds, one_place, by_id] = node.request.points;
+  const auto& [segments, load, bounds, one_place, by_id, crowd] = node.request.points;
   node.found.by_id = by_id;
   for (Segment& segment : segments) {
     segment.middle = segment.first;

@@ -48,7 +48,8 @@ struct PointSet {
   // They are known to lie in one place, so that only ids tell them apart. Then the node has no wholes, and `within` is
   // everything; a search may overwrite their integers on axis 0.
   bool one_place = false;
-  bool by_id = false;  // these have been overwritten by ids, less the least id of all particles
+  bool by_id = false;             // these have been overwritten by ids, less the least id of all particles
+  std::optional<Integers> crowd;  // this rank's points with these integers are known to lie in one place
 };
 
 // A cut that is wanted. Particles of the node that have no point lie in wholes, on either side of `within`.
@@ -83,7 +84,8 @@ struct CutFound {
   // the node's particles unless a whole meets this. lo = 0 or hi = kTop: there is no point on that side, but a whole's
   // particle might be.
   Interval relied_on;
-  bool by_id = false;  // as PointSet::by_id, for both sides
+  bool by_id = false;             // as PointSet::by_id, for both sides
+  std::optional<Integers> crowd;  // as PointSet::crowd, if the search has found one
 };
 
 // With weights: the left side's target, rounded up. The cut lies before or behind the particle whose prefix reaches it.

@@ -1,31 +1,65 @@
 #include "common/base/check.hpp"
 #include "common/partition/balance/bounds.hpp"
+#include "common/partition/kernels/kernels.hpp"
 #include "common/partition/search/node_state.hpp"
 
 namespace rcb::partition {
 namespace {
 
 constexpr unsigned kWordBits = 30;
+constexpr std::size_t kAll = ~std::size_t{0};
 
-// Calls use(point, value) for each undecided point. Values are in the order of this key word: on a lossless axis
-// integers, which lie side by side, else the words themselves.
+// Calls use(point, value) for the undecided points, `most` of each segment. Values are in the order of this key word:
+// on a lossless axis integers, which lie side by side, else the words themselves.
 template <typename Use>
-void for_each_value(const NodeState& node, std::size_t word, const Use& use) {
-  const bool lossless = node.lossless(word);
-  node.note_pass(sizeof(QuantisedPoint) + (lossless ? 0 : sizeof(std::uint64_t)));
+void for_each_value(const NodeState& node, std::size_t word, std::size_t most, const Use& use) {
+  constexpr std::ptrdiff_t kAhead = 16;
+  const particles::ParticleView& particles = node.context.particles;
+  const std::size_t bytes = sizeof(QuantisedPoint) + (node.lossless(word) ? 0 : sizeof(std::uint64_t));
   for (const Segment& segment : node.segments()) {
-    if (lossless)
-      for (QuantisedPoint& point : segment.undecided()) use(point, at(point.q[node.axis_of(word)]));
-    else
-      for (QuantisedPoint& point : segment.undecided()) use(point, node.word_of(word, segment.base + point.index));
+    const auto each = [&](const auto& value) {
+      const std::span<QuantisedPoint> points = segment.undecided().first(std::min(most, segment.undecided().size()));
+      node.context.cost.bytes += bytes * points.size();
+      for (QuantisedPoint& point : points) use(point, value(point));
+    };
+    if (node.lossless(word)) {
+      each([axis = node.axis_of(word)](const QuantisedPoint& point) { return at(point.q[axis]); });
+    } else if (word < node.context.axes()) {
+      each([x = particles.position[node.axis_of(word)] + segment.base](const QuantisedPoint& point) {
+        return geometry::order_bits(x[point.index]);
+      });
+    } else {  // of particles that lie anywhere: the processor can't tell which come next
+      each([&](const QuantisedPoint& point) {
+        if (segment.upper - &point > kAhead)
+          __builtin_prefetch(&particles.id_of(segment.base + (&point + kAhead)->index));
+        return static_cast<std::uint64_t>(particles.id_of(segment.base + point.index));
+      });
+    }
   }
+}
+
+// The values of the current word, if no point must be looked at: where the integers told some bits of it, those that
+// may follow; on a lossless axis the bounds of all points.
+std::optional<WordRange> known_range(const NodeState& node) {
+  if (node.shift > 0) {
+    const std::uint64_t first = node.base + (at(node.bracket.lo) << node.shift);
+    return WordRange{first, first + (std::uint64_t{1} << node.shift) - 1};
+  }
+  if (node.word == 0 || !node.lossless(node.word)) return std::nullopt;
+  const QBounds& bounds = node.request.points.bounds;
+  return WordRange{at(bounds.lo[node.axis_of(node.word)]), at(bounds.hi[node.axis_of(node.word)])};
 }
 
 // The values of each coordinate from the current word on. Local.
 void measure_coordinates(const NodeState& node, AllMinMax& all) {
+  const std::optional<Integers>& crowd = node.request.points.crowd;
+  QBounds bounds;
+  if (crowd && !node.replaced)
+    for (const Segment& segment : node.segments()) kernels().widen(bounds, segment.undecided());
+  const bool same = crowd && bounds.lo == *crowd && bounds.hi == *crowd;
   for (std::size_t word = node.word; word < node.context.axes(); ++word) {
     WordRange range;
-    for_each_value(node, word, [&range](const QuantisedPoint&, std::uint64_t value) {
+    for_each_value(node, word, same ? 1 : kAll, [&range](const QuantisedPoint&, std::uint64_t value) {
       range.first = std::min(range.first, value);
       range.last = std::max(range.last, value);
     });
@@ -64,7 +98,11 @@ WordRange next_range(NodeState& node, AllMinMax& measured) {
     node.word = word;
     found = range;
   }
-  return node.word < node.context.axes() ? found : all_ids(node.context);
+  if (node.word < node.context.axes()) return found;
+  // A point that isn't undecided has another integer on the cut axis.
+  for (const Segment& segment : node.segments())
+    if (first == 0 && !node.replaced && !segment.undecided().empty()) node.found.crowd = segment.undecided()[0].q;
+  return all_ids(node.context);
 }
 
 // The integers are to hold the current word, which has these values.
@@ -80,7 +118,7 @@ void write_word(NodeState& node, const WordRange& range) {
   node.found.by_id = node.request.points.one_place && node.shift == 0;
   node.phase = Phase::count;
   for_each_value(
-      node, node.word,
+      node, node.word, kAll,
       [axis = node.searched_axis(), base = node.base, shift = node.shift](QuantisedPoint& point, std::uint64_t value) {
         point.q[axis] = static_cast<std::int32_t>((value - base) >> shift);
       });
@@ -88,17 +126,15 @@ void write_word(NodeState& node, const WordRange& range) {
 
 }  // namespace
 
-// A word of which only some bits are known yet (shift > 0) is entered once more with those that follow.
 void next_words(SearchContext& context, NodeStates nodes) {
   AllMinMax measured;
   for (const NodeState* node : nodes)
-    if (node->shift == 0) measure_coordinates(*node, measured);
+    if (!known_range(*node)) measure_coordinates(*node, measured);
   context.cost.reductions += measured.reduce(context.comm);
   for (NodeState* node : nodes) {
     RCB_CHECK(node->word <= context.axes(), "two particles have the same id");
-    const std::uint64_t first = node->base + (at(node->bracket.lo) << node->shift);
-    write_word(*node, node->shift > 0 ? WordRange{first, first + (std::uint64_t{1} << node->shift) - 1}
-                                      : next_range(*node, measured));
+    const std::optional<WordRange> known = known_range(*node);
+    write_word(*node, known ? *known : next_range(*node, measured));
   }
 }
 

@@ -236,6 +236,7 @@ Node TreeSearch::child(const Node& parent, const CutFound& found, bool right) {
   own.points.load = own.load - load_of(own.wholes);
   own.points.one_place = parent.points.one_place && parent.wholes.empty();
   own.points.by_id = parent.points.by_id || found.by_id;
+  own.points.crowd = found.crowd ? found.crowd : parent.points.crowd;
   for (const Segment& segment : parent.segments) {
     QuantisedPoint* const middle = found.right_empty ? segment.last : segment.middle;
     Segment part = segment;
