@@ -6,8 +6,8 @@
 #include <utility>
 
 #include "common/base/index.hpp"
+#include "common/partition/partition.hpp"
 #include "common/partition/search/tree_search.hpp"
-#include "common/partition/search_all.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -71,7 +71,7 @@ bool Repartitioning::search_listed() {
     buckets[Splitters::kBuckets + p].load = Load{current_.loads.counts[p], current_.loads.loads[p]} - left[p];
   reduce_boxes(comm_, own, buckets, result_.cost);
   note_boxes(buckets, maps, particles_.dims);
-  if (may_be_lossless(maps, particles_.dims)) reduce_lossless(comm_, own.lossless, maps, particles_.dims, result_.cost);
+  reduce_lossless(comm_, own.lossless, maps, particles_.dims, result_.cost);
   const auto make = [&](std::span<const std::int32_t> wholes) {
     if (options_.before_search_of_all) options_.before_search_of_all();
     return put.make(wholes);
@@ -95,7 +95,7 @@ bool Repartitioning::search_listed() {
 void Repartitioning::search_among_all() {
   result_.cost.searched = 0;
   if (options_.before_search_of_all) options_.before_search_of_all();
-  PartitionResult found = search_all(comm_, particles_, options_.partition, {}).value();
+  PartitionResult found = partition(comm_, particles_, options_.partition).value();
   result_.cost += found.cost;
   // Without branches: half of them may have changed, in no order. Counted first, since growing lists would take twice
   // their memory.

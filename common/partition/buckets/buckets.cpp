@@ -97,6 +97,7 @@ void note_boxes(std::span<Bucket> buckets, AxisMaps& maps, int dims) {
 }
 
 void reduce_lossless(comm::Comm& comm, const Lossless& own, AxisMaps& maps, int dims, SearchCost& cost) {
+  if (!may_be_lossless(maps, dims)) return;
   // 1 + the trailing zeros; 0 if the axis is not lossless.
   std::array<std::uint64_t, geometry::kDimsMax> words{};
   for (std::size_t a = 0; a < at(dims); ++a)

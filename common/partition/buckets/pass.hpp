@@ -20,11 +20,6 @@ void for_seeds(std::size_t count, const Seed& seed) {
   for (std::size_t k = 0; k < blocks; k += std::max<std::size_t>(blocks / kSeeds, 1)) seed(k * kBlock);
 }
 
-// Whether a pass is to find out if maps are lossless. Local.
-inline bool may_be_lossless(const AxisMaps& maps, int dims) {
-  return std::ranges::any_of(maps, &AxisMap::lossless) && all_linear(maps, dims);
-}
-
 // Returns what it learns of the maps. Local.
 //   choose(first, blocks, bucket)   returns which particles of the block from `first` on are chosen, one bit each; if
 //                                   any is, it has called blocks.read(first). Sets their buckets or leaves it to

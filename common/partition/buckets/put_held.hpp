@@ -11,7 +11,7 @@
 #include <span>
 
 #include "common/partition/buckets/pass.hpp"
-#include "common/partition/sample/guide_from_cuts.hpp"
+#include "common/partition/sample/guide.hpp"
 
 namespace rcb::partition {
 

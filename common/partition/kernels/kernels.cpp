@@ -173,13 +173,9 @@ void quantise_all(const Axes& x, const std::uint32_t* index, const LinearMaps& m
   }
 }
 
-void quantise(const Axes& x, const std::uint32_t* index, const LinearMaps& maps, QuantisedPoint* points) {
-  quantise_all<false>(x, index, maps, points, nullptr);
-}
-
-void quantise_checked(const Axes& x, const std::uint32_t* index, const LinearMaps& maps, QuantisedPoint* points,
-                      Lossless& lossless) {
-  quantise_all<true>(x, index, maps, points, &lossless);
+void quantise(const Axes& x, const std::uint32_t* index, const LinearMaps& maps, QuantisedPoint* points,
+              Lossless* lossless) {
+  (lossless == nullptr ? quantise_all<false> : quantise_all<true>)(x, index, maps, points, lossless);
 }
 
 void widen(QBounds& bounds, std::span<const QuantisedPoint> points) {
@@ -208,7 +204,7 @@ void widen(QBounds& bounds, std::span<const QuantisedPoint> points) {
   std::copy_n(most.begin(), bounds.hi.size(), bounds.hi.begin());
 }
 
-constexpr Kernels kKernels{walk, outside_own, outside, quantise, quantise_checked, widen};
+constexpr Kernels kKernels{walk, outside_own, outside, quantise, widen};
 
 }  // namespace rcb::partition::HWY_NAMESPACE
 HWY_AFTER_NAMESPACE();

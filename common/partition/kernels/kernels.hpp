@@ -34,10 +34,9 @@ struct Kernels {
   // Bit i: particle i lies outside of the box.
   std::uint64_t (*outside)(const Axes& x, const Bounds& box);
   // Makes the quantised points of the particles, with these indices.
-  void (*quantise)(const Axes& x, const std::uint32_t* index, const LinearMaps& maps, QuantisedPoint* points);
-  // The same, and tells what it learns.
-  void (*quantise_checked)(const Axes& x, const std::uint32_t* index, const LinearMaps& maps, QuantisedPoint* points,
-                           Lossless& lossless);
+  //   lossless  what it learns is added here; null: nothing
+  void (*quantise)(const Axes& x, const std::uint32_t* index, const LinearMaps& maps, QuantisedPoint* points,
+                   Lossless* lossless);
   // Makes the bounds hold these points, too.
   void (*widen)(QBounds& bounds, std::span<const QuantisedPoint> points);
 };

@@ -89,6 +89,11 @@ inline bool all_linear(const AxisMaps& maps, int dims) {
   return std::all_of(maps.begin(), maps.begin() + dims, [](const AxisMap& map) { return map.linear(); });
 }
 
+// Whether a pass is to find out if maps are lossless. Local.
+inline bool may_be_lossless(const AxisMaps& maps, int dims) {
+  return all_linear(maps, dims) && std::ranges::any_of(maps, &AxisMap::lossless);
+}
+
 // How an axis is mapped, as rank 0 tells it to all.
 struct AxisPlan {
   double lo = geometry::Box::kInfinity;  // lo > hi: there is no particle

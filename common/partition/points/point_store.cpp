@@ -118,10 +118,8 @@ void PointMaker::make(const Axes& x, const std::uint32_t* index, const std::int3
     for (std::size_t a = 0; a < dims_; ++a)
       for (std::size_t k = 0; k < kBlock; ++k) points[k].q[a] = maps_[a](x[a][k]);
     for (std::size_t k = 0; k < kBlock; ++k) points[k].index = index[k];
-  } else if (check_) {
-    kernels().quantise_checked(x, index, by_value_, points.data(), lossless_);
   } else {
-    kernels().quantise(x, index, by_value_, points.data());
+    kernels().quantise(x, index, by_value_, points.data(), check_ ? &lossless_ : nullptr);
   }
   store_.append(points.data(), bucket, which);
 }

@@ -1,5 +1,3 @@
-#include "common/partition/quality/ghosts.hpp"
-
 #include <algorithm>
 #include <array>
 #include <functional>
@@ -14,6 +12,7 @@
 #include "common/cuts/box_tree.hpp"
 #include "common/particles/by_part.hpp"
 #include "common/partition/balance/bounds.hpp"
+#include "common/partition/quality/quality.hpp"
 
 namespace rcb::partition {
 namespace {

@@ -1,10 +1,13 @@
 // Guide: what all ranks know before the pass over their particles: where the upper cuts are expected, and how
-// coordinates become integers. Here for a set of which no cuts are known.
+// coordinates become integers. For a set without cuts a sample tells it (guide.cpp). Of cuts in force the loads tell
+// exactly how far each is off its target, and a sample how far that is in space (guide_from_cuts.cpp).
 #pragma once
 
 #include <array>
 #include <cstdint>
 
+#include "common/particles/block_ranges.hpp"
+#include "common/partition/balance/load.hpp"
 #include "common/partition/points/axis_map.hpp"
 #include "common/partition/sample/sample.hpp"
 
@@ -37,5 +40,27 @@ struct SetGuide {
 // then one gather; with splitters one broadcast, too).
 SetGuide guide_of_set(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
                       SearchCost& cost);
+
+// The partition that is in force.
+struct CurrentPartition {
+  const CutTree& tree;
+  std::span<const std::int32_t> part;              // of the local particles, under the tree
+  const LoadSummary& loads;                        // of those parts, all ranks
+  const particles::BlockRanges* blocks = nullptr;  // the ranges of the local positions; null: not known
+};
+
+struct GuideFromCuts {
+  Guide guide;
+  // [parts]: what no bracket reaches, where the part's particles are expected to stay: open boxes, some unbounded, some
+  // empty.
+  std::vector<geometry::Box> inner;
+};
+
+//   count    of all ranks' particles
+//   options  those of the tree
+// Collective (one gather of a sample of some thousand particles, one broadcast).
+GuideFromCuts guide_from_cuts(comm::Comm& comm, const particles::ParticleView& particles,
+                              const CurrentPartition& current, std::uint64_t count, const PartitionOptions& options,
+                              SearchCost& cost);
 
 }  // namespace rcb::partition

@@ -1,5 +1,3 @@
-#include "common/partition/sample/guide_from_cuts.hpp"
-
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -8,6 +6,7 @@
 #include "common/base/index.hpp"
 #include "common/comm/gather.hpp"
 #include "common/partition/rules/split_rule.hpp"
+#include "common/partition/sample/guide.hpp"
 
 namespace rcb::partition {
 namespace {

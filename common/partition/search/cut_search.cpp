@@ -5,7 +5,7 @@
 #include <boost/multiprecision/cpp_int.hpp>
 
 #include "common/base/check.hpp"
-#include "common/partition/points/divide.hpp"
+#include "common/partition/points/segment.hpp"
 #include "common/partition/search/node_state.hpp"
 
 namespace rcb::partition {

@@ -1,7 +1,7 @@
 #include <bit>
 
 #include "common/comm/wide_sum.hpp"
-#include "common/partition/points/divide.hpp"
+#include "common/partition/points/segment.hpp"
 #include "common/partition/search/node_state.hpp"
 
 namespace rcb::partition {

@@ -8,7 +8,6 @@
 #include "common/base/check.hpp"
 #include "common/base/index.hpp"
 #include "common/partition/balance/bounds.hpp"
-#include "common/partition/buckets/pass.hpp"
 #include "common/partition/search/cut_search.hpp"
 #include "common/partition/search/node_axes.hpp"
 
@@ -122,11 +121,7 @@ bool TreeSearch::open(std::span<const Pending> pending) {
       result_.opened += start_.buckets[at(b)].load.count;
     }
   if (result_.opened > start_.made_max) return false;
-  if (!unmade.empty()) {
-    const Lossless lossless = start_.make_points(unmade);
-    if (may_be_lossless(start_.maps, particles_.dims))
-      reduce_lossless(comm_, lossless, start_.maps, particles_.dims, cost_);
-  }
+  if (!unmade.empty()) reduce_lossless(comm_, start_.make_points(unmade), start_.maps, particles_.dims, cost_);
   for (const auto& [n, interval] : pending) {
     Node& node = level_[n];
     const auto opened = std::ranges::stable_partition(

@@ -147,8 +147,8 @@ TEST(Kernels, QuantiseMakesThePointsAndTellsWhetherTheyAreLossless) {
     std::array<QuantisedPoint, kBlock> points;
     std::array<QuantisedPoint, kBlock> checked;
     Lossless lossless;
-    own.quantise(scene.x, index.data(), maps, points.data());
-    own.quantise_checked(scene.x, index.data(), maps, checked.data(), lossless);
+    own.quantise(scene.x, index.data(), maps, points.data(), nullptr);
+    own.quantise(scene.x, index.data(), maps, checked.data(), &lossless);
     for (std::size_t a = 0; a < scene.x.size(); ++a) {
       std::int32_t bits = Lossless::kNoBits;
       bool same = true;

@@ -62,7 +62,7 @@ TEST(GuideOfLargeSet, IsTheSameOnAllRanksAndBracketsTheCuts) {
         }
       });
     }
-  EXPECT_GT(hits.nodes, 300);
+  EXPECT_GT(hits.nodes, 100);
   EXPECT_GT(hits.bracketed, 0.97 * hits.nodes);
   EXPECT_LT(hits.unbounded, 0.2 * hits.nodes);
 }

@@ -1,4 +1,4 @@
-#include "common/partition/points/divide.hpp"
+#include "common/partition/points/segment.hpp"
 
 namespace rcb::partition {
 namespace {

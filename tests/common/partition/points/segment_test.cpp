@@ -1,5 +1,5 @@
 // Passes over quantised points, against plain loops: sizes around those of their blocks, and shares from none to all.
-#include "common/partition/points/divide.hpp"
+#include "common/partition/points/segment.hpp"
 
 #include <algorithm>
 #include <vector>
