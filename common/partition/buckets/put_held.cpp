@@ -42,26 +42,29 @@ bool PutHeld::block_is_held(std::size_t first, std::int32_t part, Bounds& box) c
 }
 
 std::uint64_t PutHeld::not_held(std::size_t first, Blocks& blocks, std::span<Bounds> boxes) const {
-  const std::int32_t* const part = current_.part.data() + first;
-  BucketsOfBlock own;
-  own.fill(part[0]);
-  std::copy_n(part, size_of_block(first), own.begin());
+  const std::int32_t* part = current_.part.data() + first;
+  BucketsOfBlock filled;
+  if (size_of_block(first) < kBlock) {  // as Blocks does
+    filled.fill(part[0]);
+    std::copy_n(part, size_of_block(first), filled.begin());
+    part = filled.data();
+  }
   std::int32_t other = 0;
-  for (const std::int32_t p : own) other |= p ^ part[0];
+  for (std::size_t i = 0; i < kBlock; ++i) other |= part[i] ^ part[0];
   const bool one_part = other == 0;
   if (one_part && block_is_held(first, part[0], boxes[at(part[0])])) return 0;
   const Axes& x = blocks.read(first);
   std::uint64_t beyond =
-      one_part ? kernels().outside(x, boxes[at(part[0])]) : kernels().outside_own(x, own.data(), boxes.data());
+      one_part ? kernels().outside(x, boxes[at(part[0])]) : kernels().outside_own(x, part, boxes.data());
   std::uint64_t out = 0;
   for (; beyond != 0; beyond &= beyond - 1) {  // mostly few
     const auto i = at(std::countr_zero(beyond));
-    const Bounds& inner = inner_[at(own[i])];
+    const Bounds& inner = inner_[at(part[i])];
     bool inside = true;
     for (std::size_t a = 0; a < x.size(); ++a) inside &= (x[a][i] >= inner.lo[a]) & (x[a][i] <= inner.hi[a]);
     out |= std::uint64_t{!inside} << i;
     if (inside)
-      boxes[at(own[i])].extend(at(particles_.dims), [&](std::size_t a) { return particles::Range{x[a][i], x[a][i]}; });
+      boxes[at(part[i])].extend(at(particles_.dims), [&](std::size_t a) { return particles::Range{x[a][i], x[a][i]}; });
   }
   return out;
 }
