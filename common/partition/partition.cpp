@@ -75,7 +75,7 @@ Result<PartitionResult> equal_boxes(comm::Comm& comm, const particles::ParticleV
 }
 
 // The pass: makes the points of all particles, bucket by bucket; part[i] becomes the bucket of particle i. Without
-// splitters all are in bucket 0, and neither its box nor its load is told. Local.
+// splitters all are in bucket 0, whose box isn't told. Local.
 OwnShare put_all(const particles::ParticleView& particles, const Guide& guide, const AxisMaps& maps,
                  const Tuning& tuning, PointStore& points, std::span<std::int32_t> part) {
   OwnShare own(Splitters::kBuckets, particles.dims);
@@ -113,7 +113,7 @@ std::optional<ExactScale> weigh_all(comm::Comm& comm, const particles::ParticleV
   return scale;
 }
 
-// A search among all particles: the cold way. `options` are valid, and the method is one whose cuts are searched.
+// A full search, among all particles. `options` are valid, and the method is one whose cuts are searched.
 // Collective.
 Result<PartitionResult> search_all(comm::Comm& comm, const particles::ParticleView& particles,
                                    const PartitionOptions& options, const comm::GoOn& go_on) {

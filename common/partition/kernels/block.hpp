@@ -93,8 +93,8 @@ struct RoundedAxes {
   }
 };
 
-// The upper cuts of a sample's tree: where a set's own cuts are expected. A complete binary tree: node k has the
-// children 2k + 1 and 2k + 2. Trivially copyable: it is sent as it is.
+// Where the upper cuts of a set are expected. A complete binary tree: node k has the children 2k + 1 and 2k + 2.
+// Trivially copyable: it is sent as it is.
 struct Splitters {
   static constexpr std::size_t kLevels = 6;
   static constexpr std::size_t kNodes = (std::size_t{1} << kLevels) - 1;

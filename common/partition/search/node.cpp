@@ -41,7 +41,8 @@ std::int32_t Wholes::first_above(std::int32_t integer) const {
   return first;
 }
 
-// If cuts above lie across other axes than expected, the wholes were meant for other parts than the node's.
+// If cuts above lie across other axes than expected, the wholes were meant for other parts than the node's: then the
+// middle of those parts divides them.
 Interval Wholes::gap() const {
   NodeRange meant{.first = std::numeric_limits<int>::max(), .last = 0};
   for (const std::int32_t b : node_.wholes) {

@@ -43,11 +43,12 @@ class Wholes {
   // Between the wholes that are meant for the left and those for the right. Empty if these don't lie apart, since the
   // cut lies across another axis than expected.
   Interval gap() const;
-  // Between the wholes below the likely key and those above it: it is assumed that each whole's load lies in its
-  // middle, and half of that of the points below the key. There must be a whole.
+  // Where there is no gap: between the wholes that end below the likely key and those that begin above it. The key is
+  // guessed by the loads: each whole's is taken to lie in the middle of its span, and half of the points' below the
+  // key. There must be a whole.
   Interval likely(u128 wanted) const;
-  // The key at which the prefix of the wholes and of points in this region reaches `wanted` > 0 has an integer in this
-  // interval.
+  // After a miss: an interval that is certain to hold the wanted key, which lies in this region. Only the wholes and
+  // the points in the region are counted: the prefix of theirs that reaches `wanted` > 0 ends with the key.
   //   loose  the load of those points, wherever in the region they are
   Interval certain(const Interval& region, u128 loose, u128 wanted) const;
 

@@ -1,8 +1,9 @@
 // TreeSearch: makes a tree level by level. It begins with buckets, most of which stay wholes: a node treats a whole by
-// its load and its box. On a node's cut axis the key is looked for in the interval between the wholes that are expected
-// on the left and those expected on the right; wholes that meet the interval are opened first: their particles become
-// points of the node. If the key isn't there, the loads tell an interval in which it is for certain, and what meets
-// that is opened. So a bad expectation, or a cut across another axis than expected, costs time, and no answer.
+// its load and its box. On a node's cut axis the key is looked for in the gap between the wholes that are expected on
+// the left and those expected on the right. Where these overlap, since the cut lies across another axis than expected,
+// it is looked for where the loads of the wholes put it. Wholes that meet this interval are opened first: their
+// particles become points of the node. If the key isn't there, the loads tell an interval in which it is for certain,
+// and what meets that is opened. So a bad expectation costs time, and no answer.
 //
 // Invariants
 // 1. On the cut axis the integers of a whole all lie below that of the cut's key, or all above it.
