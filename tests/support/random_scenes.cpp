@@ -91,6 +91,7 @@ double weight_of(int family, int code, bool first) {
 std::int64_t id_of(const RandomScene& from, std::size_t row, std::size_t all) {
   const std::size_t place = from.ids == 0 ? row : all - 1 - row;
   if (from.ids < 2) return static_cast<std::int64_t>(place);
+  if (from.ids == 3) return static_cast<std::int64_t>(place + ((mix64(place) % 3) << 40U));
   return row == 0 ? std::numeric_limits<std::int64_t>::max() : static_cast<std::int64_t>(mix64(place) >> 1U);
 }
 
@@ -229,7 +230,7 @@ rc::Gen<RandomScene> plain_scenes(int rows_max) {
     return rc::gen::build<RandomScene>(
         rc::gen::set(&RandomScene::dims, rc::gen::resize(kFullSize, rc::gen::inRange(1, 4))),
         rc::gen::set(&RandomScene::family, rc::gen::container<std::array<int, 3>>(any_of(kFamilies))),
-        rc::gen::set(&RandomScene::ids, any_of(3)),
+        rc::gen::set(&RandomScene::ids, any_of(4)),
         rc::gen::set(&RandomScene::rows, rc::gen::resize(size, rc::gen::container<std::vector<Row>>(row))),
         rc::gen::set(&RandomScene::parts, rc::gen::resize(kFullSize, rc::gen::inRange(1, 41))),
         rc::gen::set(&RandomScene::ranks, rc::gen::weightedElement<int>({{50, 1}, {8, 2}, {5, 3}, {3, 4}, {2, 7}})),

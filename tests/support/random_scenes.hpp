@@ -42,7 +42,7 @@ struct RandomScene {
   int dims = 1;
   std::array<int, 3> family{};  // of each axis' coordinates
   int weights = 0;              // family of weights; 0: none
-  int ids = 0;                  // 0: by row, 1: backwards, 2: scattered up to 2^63 - 1
+  int ids = 0;                  // 0: by row, 1: backwards, 2: scattered up to 2^63 - 1, 3: dense, in three ranges
   int copies = 1;               // how often all rows stand there, with other ids
   std::vector<Row> rows;
   int parts = 1;

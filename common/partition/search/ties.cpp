@@ -111,11 +111,12 @@ void write_word(NodeState& node, const WordRange& range) {
     node.replaced_integer = node.bracket.lo;
     for (const Segment& segment : node.segments()) node.replaced_points.push_back(segment.undecided());
   }
-  node.replaced = true;
   node.base = range.first;
   node.shift = std::max(shift_to(range.last - range.first, kWordBits), node.zeros_of(node.word));
+  // Later windows of an id are for a few points only.
+  if (!node.replaced) node.found.by_id = node.request.points.one_place && node.shift == 0;
+  node.replaced = true;
   node.bracket = {0, static_cast<std::int32_t>((range.last - range.first) >> node.shift)};
-  node.found.by_id = node.request.points.one_place && node.shift == 0;
   node.phase = Phase::count;
   for_each_value(
       node, node.word, kAll,

@@ -159,6 +159,21 @@ TEST(Partition, TheGreatestKeyWordIsCounted) {
   check(scene, asked);
 }
 
+// More ids than are gathered share the upper bits that integers hold.
+TEST(Partition, IdsFarApartDivideOnePlace) {
+  Scene scene;
+  scene.dims = 1;
+  for (std::int64_t k = 0; k < 6000; ++k) {
+    scene.x[0].push_back(0.5);
+    scene.id.push_back(k < 4000 ? k : (std::int64_t{1} << 40U) + k * (k % 3 == 0 ? 1 : 1 << 20U));
+  }
+  for (const int parts : {2, 4, 7}) {
+    JudgeOptions asked;
+    asked.parts = parts;
+    check(scene, asked);
+  }
+}
+
 TEST(Partition, BandsHaveOneOrder) {
   std::uint64_t seed = 3 * kPartitionSeed;
   for (const Shape shape : {Shape::uniform, Shape::lattice, Shape::planes, Shape::coincident})
