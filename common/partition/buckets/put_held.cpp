@@ -138,10 +138,13 @@ PartDelta PutHeld::changes(std::span<const std::int32_t> part_of_bucket, std::sp
     list(first, which & ~listed_[first / kBlock]);
   }
   const auto for_listed = [&](const auto& visit) {
-    for (std::size_t b = 0; b < listed_.size(); ++b)
+    constexpr std::size_t kAhead = 16;  // blocks; their parts are no longer at hand
+    for (std::size_t b = 0; b < listed_.size(); ++b) {
+      for (std::size_t i = 0; i < kBlock; i += 16) prefetch(current_.part.data(), (b + kAhead) * kBlock + i);
       for (std::uint64_t left = listed_[b]; left != 0; left &= left - 1) visit(b * kBlock + at(std::countr_zero(left)));
+    }
   };
-  // Their new parts in the order of their slots, of which the points know nothing.
+  // Their new parts in the order of their slots, of which the points know nothing. Those without a point have moved.
   Buffer<std::int32_t> now(count_);
   std::vector<std::uint64_t> before;  // how many stand before each block
   std::size_t listed = 0;
@@ -150,7 +153,7 @@ PartDelta PutHeld::changes(std::span<const std::int32_t> part_of_bucket, std::sp
     listed += at(std::popcount(block));
   }
   listed = 0;
-  for_listed([&](std::size_t slot) { now[listed++] = moved[at(current_.part[slot])]; });
+  if (any_moved) for_listed([&](std::size_t slot) { now[listed++] = moved[at(current_.part[slot])]; });
   for (const PointsOfPart& own : of_points)
     for (const QuantisedPoint& point : own.points) {
       const std::size_t slot = own.base + point.index;
