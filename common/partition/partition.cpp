@@ -75,7 +75,7 @@ Result<PartitionResult> equal_boxes(comm::Comm& comm, const particles::ParticleV
 }
 
 // The pass: makes the points of all particles, bucket by bucket; part[i] becomes the bucket of particle i. Without
-// splitters all are in bucket 0, whose box isn't told. Local.
+// splitters all are in bucket 0, and neither this nor its box is told. Local.
 OwnShare put_all(const particles::ParticleView& particles, const Guide& guide, const AxisMaps& maps,
                  const Tuning& tuning, PointStore& points, std::span<std::int32_t> part) {
   OwnShare own(Splitters::kBuckets, particles.dims);
@@ -147,7 +147,10 @@ Result<PartitionResult> search_all(comm::Comm& comm, const particles::ParticleVi
   auto found = TreeSearch(comm, particles, options, start, result.cost).find(go_on);
   if (!found) return given_up();
   const std::span<std::int32_t> part = result.part.span();
-  for (std::int32_t& own_part : part) own_part = found->part_of_bucket[at(own_part)];
+  if (split)
+    for (std::int32_t& own_part : part) own_part = found->part_of_bucket[at(own_part)];
+  else if (found->part_of_bucket[0] >= 0)  // all go one way
+    std::ranges::fill(part, found->part_of_bucket[0]);
   constexpr std::size_t kAhead = 16;  // the processor can't tell which come next
   for (const PointsOfPart& some : found->points) {
     std::int32_t* const first = part.data() + some.base;
@@ -157,7 +160,7 @@ Result<PartitionResult> search_all(comm::Comm& comm, const particles::ParticleVi
     }
     result.cost.bytes += some.points.size() * (sizeof(QuantisedPoint) + sizeof(std::int32_t));
   }
-  result.cost.bytes += 3 * part.size_bytes();
+  if (split) result.cost.bytes += 3 * part.size_bytes();
   result.tree = std::move(found->tree);
   result.counts = std::move(found->counts);
   return result;
