@@ -28,7 +28,7 @@ class Repartitioning {
     const bool near_cuts = options_.incremental && options.cut_tolerance == 0;
     if (options.parts == 1) {
       result_.incremental = true;
-    } else if (!near_cuts || !search_listed()) {
+    } else if (!near_cuts || !search_near_cuts()) {
       result_.wasted = near_cuts;
       search_among_all();
     }
@@ -41,7 +41,7 @@ class Repartitioning {
  private:
   std::uint64_t most_listed() const { return n_ / options_.partition.tuning.boundary_divisor; }
   // Searches the particles near the expected new cuts. False if they are too many. Collective.
-  bool search_listed();
+  bool search_near_cuts();
   void search_among_all();
 
   comm::Comm& comm_;
@@ -54,7 +54,7 @@ class Repartitioning {
   Repartition result_;
 };
 
-bool Repartitioning::search_listed() {
+bool Repartitioning::search_near_cuts() {
   const PartitionOptions& options = options_.partition;
   const GuideFromCuts guide = guide_from_cuts(comm_, particles_, current_, n_, options, result_.cost);
   AxisMaps maps = guide.guide.maps(particles_.dims);
@@ -65,10 +65,10 @@ bool Repartitioning::search_listed() {
   const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());
   const std::uint64_t most = std::max<std::uint64_t>(particles_.count, mean) / options.tuning.boundary_divisor;
   const OwnShare own = put.run(most);
-  const std::vector<Load> left = sum_loads(comm_, own, scale_.has_value(), buckets, result_.cost);
-  if (left.back().count > 0 || result_.cost.searched > most_listed()) return false;
+  const std::vector<Load> leaving = sum_loads(comm_, own, scale_.has_value(), buckets, result_.cost);
+  if (leaving.back().count > 0 || result_.cost.searched > most_listed()) return false;
   for (std::size_t p = 0; p < at(options.parts); ++p)
-    buckets[Splitters::kBuckets + p].load = Load{current_.loads.counts[p], current_.loads.loads[p]} - left[p];
+    buckets[Splitters::kBuckets + p].load = Load{current_.loads.counts[p], current_.loads.loads[p]} - leaving[p];
   reduce_boxes(comm_, own, buckets, result_.cost);
   note_boxes(buckets, maps, particles_.dims);
   reduce_lossless(comm_, own.lossless, maps, particles_.dims, result_.cost);

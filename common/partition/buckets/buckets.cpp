@@ -14,7 +14,7 @@ void lay_out(std::vector<Bucket>& buckets, std::size_t heap, const NodeRange& ra
   if (heap >= Splitters::kNodes || !range.leaf()) {
     buckets[heap].first = range.first;
     buckets[heap].last = range.last;
-    buckets[heap].made = true;
+    buckets[heap].has_points = true;
   }
   if (heap >= Splitters::kNodes) return;
   lay_out(buckets, 2 * heap + 1, range.leaf() ? range : range.left());
@@ -28,7 +28,7 @@ std::vector<Bucket> empty_buckets(int parts, bool split, bool held) {
   if (split)
     lay_out(buckets, 0, {0, 0, parts});
   else
-    buckets[0] = {.last = parts, .made = true};
+    buckets[0] = {.last = parts, .has_points = true};
   for (int p = 0; p < parts && held; ++p) {
     Bucket& own = buckets[Splitters::kBuckets + at(p)];
     own.first = p;
@@ -59,7 +59,7 @@ std::vector<Load> sum_loads(comm::Comm& comm, const OwnShare& own, bool weighted
     if (weighted) weights.push_back(load.weight);
   };
   for (std::size_t b = 0; b < of_splitters.size(); ++b) send(own.loads[b]);
-  for (const Load& load : own.left) send(load);
+  for (const Load& load : own.leaving) send(load);
   comm.all_sum(counts);
   if (weighted) comm::all_sum_wide(comm, weights);
   cost.reductions += weighted ? 2 : 1;
@@ -69,9 +69,9 @@ std::vector<Load> sum_loads(comm::Comm& comm, const OwnShare& own, bool weighted
     return Load{counts[next++], weight};
   };
   for (Bucket& bucket : of_splitters) cost.searched += (bucket.load = receive()).count;
-  std::vector<Load> left(own.left.size());
-  for (Load& load : left) load = receive();
-  return left;
+  std::vector<Load> leaving(own.leaving.size());
+  for (Load& load : leaving) load = receive();
+  return leaving;
 }
 
 void reduce_boxes(comm::Comm& comm, const OwnShare& own, std::span<Bucket> buckets, SearchCost& cost) {

@@ -24,7 +24,7 @@ namespace rcb::partition {
 struct Bucket {
   int first = 0;  // the parts [first, last) that its particles are expected in; none: there is no such bucket
   int last = 0;
-  bool made = false;  // its particles have quantised points
+  bool has_points = false;  // its particles have quantised points
   Load load;
   geometry::Box box;
   QBounds q;  // of the box
@@ -49,15 +49,15 @@ struct OwnShare {
   std::vector<Load> loads;    // [buckets]
   // Where cuts are in force, of the particles that aren't expected to stay: [parts]; then, as a count, whether the pass
   // was given up.
-  std::vector<Load> left;
+  std::vector<Load> leaving;
   Lossless lossless;
 };
 
 // A bound of no particle.
 Bounds no_bounds(int dims);
 
-// Sets the loads of the splitters' buckets; returns the sum of `left` over all ranks. Collective (one sum; with weights
-// two).
+// Sets the loads of the splitters' buckets; returns the sum of `leaving` over all ranks. Collective (one sum; with
+// weights two).
 std::vector<Load> sum_loads(comm::Comm& comm, const OwnShare& own, bool weighted, std::span<Bucket> buckets,
                             SearchCost& cost);
 

@@ -72,7 +72,7 @@ std::uint64_t PutHeld::not_held(std::size_t first, Blocks& blocks, std::span<Bou
 OwnShare PutHeld::run(std::size_t most) {
   const std::size_t parts = at(current_.tree.parts);
   OwnShare own(Splitters::kBuckets + parts, particles_.dims);
-  own.left.resize(parts + 1);
+  own.leaving.resize(parts + 1);
   const WalkTables tables(guide_.guide.splitters);
   const std::span<Bounds> boxes = std::span(own.boxes).subspan(Splitters::kBuckets);
   Blocks some(particles_);
@@ -93,11 +93,11 @@ OwnShare PutHeld::run(std::size_t most) {
       const std::size_t slot = points_.base() + own_index[k];
       const Load load{1, scale_ ? (*scale_)(particles_.weight[slot]) : u128{0}};
       own.loads[at(bucket[k])] += load;
-      own.left[at(current_.part[slot])] += load;
+      own.leaving[at(current_.part[slot])] += load;
     }
   };
   own.lossless = make_points(particles_, maps_, tuning_, points_, choose, place);
-  own.left[parts].count = count_ > most ? 1 : 0;
+  own.leaving[parts].count = count_ > most ? 1 : 0;
   return own;
 }
 

@@ -12,8 +12,8 @@
 namespace rcb::partition {
 namespace {
 
-constexpr std::uint64_t kPlannedOfAll = 4096;  // sampled coordinates that choose a small set's maps
-constexpr std::size_t kPlannedMax = 1024;      // and a sample's
+constexpr std::uint64_t kMapSampleOfAll = 4096;  // sampled coordinates that choose a small set's maps
+constexpr std::size_t kMapSampleMax = 1024;      // and a sample's
 
 // Within a cut tolerance the cuts depend on where a search begins. Splitters need weights on no rank, and on every rank
 // the vector instructions that sort particles into buckets.
@@ -50,8 +50,8 @@ void find_splitters(Sample sample, const PartitionOptions& options, int dims, Sp
 
 // Within a cut tolerance cuts lie between a map's integers, so the tree depends on the map: what chooses it must then
 // be the same however the particles are distributed, hence some ids, chosen by a hash.
-std::vector<std::size_t> planning_slots(const particles::ParticleView& particles, bool by_id, std::uint64_t count) {
-  const std::uint64_t stride = count / kPlannedOfAll + 1;
+std::vector<std::size_t> map_sample_slots(const particles::ParticleView& particles, bool by_id, std::uint64_t count) {
+  const std::uint64_t stride = count / kMapSampleOfAll + 1;
   if (!by_id) return sampled_slots(particles.count, stride);
   std::vector<std::size_t> slots;
   for (std::size_t i = 0; i < particles.count; ++i)
@@ -62,7 +62,7 @@ std::vector<std::size_t> planning_slots(const particles::ParticleView& particles
 void look_at_all(comm::Comm& comm, const particles::ParticleView& particles, bool by_id, SetGuide& all) {
   // A rank's message: the range of its weights; of each axis the least coordinate, the greatest and those sampled.
   const std::size_t dims = at(particles.dims);
-  const std::vector<std::size_t> slots = planning_slots(particles, by_id, all.count);
+  const std::vector<std::size_t> slots = map_sample_slots(particles, by_id, all.count);
   const particles::Range weights = weight_range(particles);
   std::vector<double> mine{weights.lo, weights.hi};
   for (std::size_t a = 0; a < dims; ++a) {
@@ -95,7 +95,7 @@ Guide Guide::of_sample(Sample sample, const geometry::Box& box, int dims) {
   Guide guide{.split = true};
   for (std::size_t a = 0; a < at(dims); ++a) {
     std::vector<double> some;
-    for (std::size_t k = 0; k < sample.size(); k += sample.size() / kPlannedMax + 1) some.push_back(sample[k].x[a]);
+    for (std::size_t k = 0; k < sample.size(); k += sample.size() / kMapSampleMax + 1) some.push_back(sample[k].x[a]);
     guide.axes[a] = plan_sampled_axis(box.lo[a], box.hi[a], some);
     guide.splitters.rounded.fit(a, box.lo[a], box.hi[a]);
   }

@@ -76,8 +76,8 @@ void choose_by_weight(NodeState& node, std::span<const Candidate> candidates) {
 }
 
 // If the candidates are all of the node's points, they tell whether the key is within.
-bool key_is_within(NodeState& node, std::span<const Candidate>& candidates) {
-  if (!node.outside_unknown) return true;
+bool keep_those_within(NodeState& node, std::span<const Candidate>& candidates) {
+  if (!node.counts_outside) return true;
   const auto first_from = [&](std::int64_t q) {
     return std::ranges::lower_bound(candidates, q, {}, [&](const Candidate& own) { return node.integer(own.key); });
   };
@@ -98,7 +98,7 @@ void choose_in_group(SearchContext& context, NodeStates nodes) {
     NodeState& node = *nodes[n];
     RCB_CHECK(candidates.size() == node.inside, "the candidates are those counted");
     node.phase = Phase::done;
-    if (key_is_within(node, candidates)) (context.weighted() ? choose_by_weight : choose)(node, candidates);
+    if (keep_those_within(node, candidates)) (context.weighted() ? choose_by_weight : choose)(node, candidates);
   }
 }
 

@@ -31,8 +31,8 @@ void choose_next_phase(NodeState& node) {
     node.phase = Phase::gather;
   } else if (one_left) {
     node.phase = Phase::next_word;
-    const bool decided = node.replaced ? node.shift <= node.zeros_of(node.word) : node.lossless(0);
-    if (!decided) return;
+    const bool word_is_known = node.replaced ? node.shift <= node.zeros_of(node.word) : node.lossless(0);
+    if (!word_is_known) return;
     ++node.word;
     node.shift = 0;
   }
@@ -83,7 +83,7 @@ void narrow_to_bracket(NodeState& node) {
 
 // The bin that holds the wanted key becomes the bracket.
 void take(NodeState& node, const Crossing& crossing) {
-  if (node.outside_unknown && !node.is_within(crossing.points_below, crossing.points_within)) return;
+  if (node.counts_outside && !node.is_within(crossing.points_below, crossing.points_within)) return;
   RCB_CHECK(crossing.bin, "a bin holds the wanted key");
   node.below = crossing.below;
   if (take_near(node, crossing)) return;
@@ -112,13 +112,13 @@ void start(NodeState& node) {
   const Interval within = node.request.within;
   const Interval all{bounds.lo[node.searched_axis()], bounds.hi[node.searched_axis()]};
   node.bracket = {std::max(within.lo, all.lo), std::min(within.hi, all.hi)};
-  if (all.lo >= within.lo && all.hi <= within.hi) {
+  if (all.lo >= within.lo && all.hi <= within.hi) {  // all points are within
     if (!node.is_within({}, load)) return;
-  } else if (node.bracket.empty()) {
+  } else if (node.bracket.empty()) {  // none is
     node.is_within(all.hi < within.lo ? load : Load{}, {});
     return;
-  } else {
-    node.outside_unknown = true;
+  } else {  // some may be: they are counted together with the others
+    node.counts_outside = true;
     node.below = node.request.before;
     node.inside = load.count;
     // On a lossless axis bins begin at multiples of the step, as integers do. Without one in it the bracket has no
@@ -132,7 +132,7 @@ void start(NodeState& node) {
   node.phase = one_place && !by_id ? Phase::next_word : Phase::count;
   if (!weighted && node.inside <= node.context.gather_limit)
     node.phase = Phase::gather;
-  else if (node.outside_unknown)
+  else if (node.counts_outside)
     narrow_to_bracket(node);
 }
 

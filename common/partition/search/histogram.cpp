@@ -45,7 +45,7 @@ void add_weights(const NodeState& node, unsigned shift, CellMessage& message, st
     const auto weight = [&](const QuantisedPoint& point) { return node.context.weight(segment.base + point.index); };
     for (const QuantisedPoint& point : segment.undecided())
       message.add(cell + 1 + (at(point.q[node.searched_axis()] - node.bracket.lo) >> shift), weight(point));
-    if (!node.outside_unknown) continue;
+    if (!node.counts_outside) continue;
     for (const QuantisedPoint& point : std::span(segment.first, segment.middle)) message.add(cell, weight(point));
   }
 }
@@ -57,7 +57,7 @@ void add_counts(const NodeState& node, unsigned shift, CellMessage& message, std
   std::ranges::fill(even, 0U);
   std::ranges::fill(odd, 0U);
   for (const Segment& segment : node.segments()) {
-    if (node.outside_unknown) message.add(cell, at(segment.middle - segment.first));
+    if (node.counts_outside) message.add(cell, at(segment.middle - segment.first));
     count_bins(segment.undecided(), node.searched_axis(), node.bracket.lo, shift, even, odd);
   }
   for (std::size_t b = 0; b < even.size(); ++b) message.add(cell + 1 + b, even[b] + odd[b]);
@@ -67,7 +67,7 @@ Crossing read(const NodeState& node, std::size_t bins, const CellMessage& messag
   Crossing found;
   found.points_below = message.load(cell);
   Load sum = node.below + found.points_below;
-  for (std::size_t b = 0; b < bins && (!found.bin || node.outside_unknown); ++b) {
+  for (std::size_t b = 0; b < bins && (!found.bin || node.counts_outside); ++b) {
     const Load own = message.load(cell + 1 + b);
     if (!found.bin && node.reached(sum + own)) {
       found.bin = b;

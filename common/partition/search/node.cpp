@@ -11,20 +11,20 @@ geometry::Box box_of(std::span<const Bucket> buckets, std::span<const std::int32
   return box;
 }
 
-Interval Wholes::span(std::int32_t bucket) const {
+Interval Wholes::interval_of(std::int32_t bucket) const {
   const auto axis = at(node_.axes[0]);
   const QBounds& q = buckets_[at(bucket)].q;
   return {q.lo[axis], q.hi[axis]};
 }
 
 bool Wholes::meets(const Interval& interval) const {
-  return std::ranges::any_of(node_.wholes, [&](std::int32_t b) { return interval.meets(span(b)); });
+  return std::ranges::any_of(node_.wholes, [&](std::int32_t b) { return interval.meets(interval_of(b)); });
 }
 
 std::vector<std::int32_t> Wholes::in(const Interval& region) const {
   std::vector<std::int32_t> found;
   for (const std::int32_t b : node_.wholes)
-    if (span(b).lo >= region.lo && span(b).hi <= region.hi) found.push_back(b);
+    if (interval_of(b).lo >= region.lo && interval_of(b).hi <= region.hi) found.push_back(b);
   return found;
 }
 
@@ -37,7 +37,7 @@ Load Wholes::load_in(const Interval& region) const {
 std::int32_t Wholes::first_above(std::int32_t integer) const {
   std::int32_t first = AxisMap::kTop;
   for (const std::int32_t b : node_.wholes)
-    if (span(b).lo > integer) first = std::min(first, span(b).lo);
+    if (interval_of(b).lo > integer) first = std::min(first, interval_of(b).lo);
   return first;
 }
 
@@ -53,14 +53,14 @@ Interval Wholes::gap() const {
   const int middle = (as_expected ? node_.range : meant).middle();
   Interval gap = Interval::everything();
   for (const std::int32_t b : node_.wholes) {
-    if (buckets_[at(b)].last <= middle) gap.lo = std::max(gap.lo, span(b).hi + 1);
-    if (buckets_[at(b)].first >= middle) gap.hi = std::min(gap.hi, span(b).lo - 1);
+    if (buckets_[at(b)].last <= middle) gap.lo = std::max(gap.lo, interval_of(b).hi + 1);
+    if (buckets_[at(b)].first >= middle) gap.hi = std::min(gap.hi, interval_of(b).lo - 1);
   }
   return gap;
 }
 
 Interval Wholes::likely(u128 wanted) const {
-  const auto middle_of = [this](std::int32_t b) { return std::midpoint(span(b).lo, span(b).hi); };
+  const auto middle_of = [this](std::int32_t b) { return std::midpoint(interval_of(b).lo, interval_of(b).hi); };
   std::vector<std::int32_t> wholes = node_.wholes;
   std::ranges::sort(wholes, {}, middle_of);
   u128 before = (weighted_ ? node_.points.load.weight : u128{node_.points.load.count}) / 2;
@@ -68,8 +68,8 @@ Interval Wholes::likely(u128 wanted) const {
   const std::int32_t key = middle_of(reached == wholes.end() ? wholes.back() : *reached);
   Interval likely = Interval::everything();
   for (const std::int32_t b : wholes) {
-    if (span(b).hi < key) likely.lo = std::max(likely.lo, span(b).hi + 1);
-    if (span(b).lo > key) likely.hi = std::min(likely.hi, span(b).lo - 1);
+    if (interval_of(b).hi < key) likely.lo = std::max(likely.lo, interval_of(b).hi + 1);
+    if (interval_of(b).lo > key) likely.hi = std::min(likely.hi, interval_of(b).lo - 1);
   }
   return likely;
 }
@@ -78,9 +78,9 @@ Interval Wholes::certain(const Interval& region, u128 loose, u128 wanted) const 
   // The first of these ends up to which, with what lies there at least or at most, there is enough.
   const auto reached = [&](std::int32_t Interval::*end, u128 before) {
     std::vector<std::int32_t> wholes = in(region);
-    std::ranges::sort(wholes, {}, [&](std::int32_t b) { return span(b).*end; });
+    std::ranges::sort(wholes, {}, [&](std::int32_t b) { return interval_of(b).*end; });
     for (const std::int32_t b : wholes)
-      if ((before += load(b)) >= wanted) return span(b).*end;
+      if ((before += load(b)) >= wanted) return interval_of(b).*end;
     return region.hi;
   };
   return {loose >= wanted ? region.lo : reached(&Interval::lo, loose), reached(&Interval::hi, 0)};

@@ -33,7 +33,7 @@ class Wholes {
   Wholes(std::span<const Bucket> buckets, const Node& node, bool weighted)
       : buckets_(buckets), node_(node), weighted_(weighted) {}
 
-  Interval span(std::int32_t bucket) const;
+  Interval interval_of(std::int32_t bucket) const;
   bool meets(const Interval& interval) const;
   // Of those that lie in this region.
   Load load_in(const Interval& region) const;

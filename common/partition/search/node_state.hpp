@@ -29,9 +29,9 @@ struct NodeState {
 
   // The undecided points' integers lie in the bracket.
   Interval bracket{};
-  Load below{};                  // points and wholes below the bracket
-  std::uint64_t inside = 0;      // undecided points, all ranks'; with weights not known before the first histogram
-  bool outside_unknown = false;  // some points lie outside of `within`, nobody knows yet how many; `inside` has them
+  Load below{};                 // points and wholes below the bracket
+  std::uint64_t inside = 0;     // undecided points, all ranks'; with weights not known before the first histogram
+  bool counts_outside = false;  // some points lie outside of `within`, nobody knows yet how many; `inside` has them
 
   // The key word that is searched; the undecided points share the ones before. Integers hold the coordinates or, if
   // they were replaced, (the word - base) >> shift.
@@ -82,7 +82,7 @@ struct NodeState {
   // Says where the wanted key is, once it is known what load the points below `within` and in it have. If it isn't in
   // it, the search has ended.
   bool is_within(const Load& points_below, const Load& points_within) {
-    outside_unknown = false;
+    counts_outside = false;
     found.points_below = points_below;
     found.points_within = points_within;
     below = request.before + points_below;
@@ -104,7 +104,7 @@ using NodeStates = std::span<NodeState* const>;
 
 // What a node's histogram tells.
 struct Crossing {
-  Load points_below;  // if outside_unknown: of the points below `within`, and in it; else 0
+  Load points_below;  // if counts_outside: of the points below `within`, and in it; else 0
   Load points_within;
   std::optional<std::size_t> bin;  // the one that holds the wanted key
   unsigned shift = 0;              // a bin has 2^shift integers

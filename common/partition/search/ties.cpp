@@ -38,8 +38,8 @@ void for_each_value(const NodeState& node, std::size_t word, std::size_t most, c
   }
 }
 
-// The values of the current word, if no point must be looked at: where the integers told some bits of it, those that
-// may follow; on a lossless axis the bounds of all points.
+// The values of the current word, as for_each_value() tells them, if no point must be looked at: where the integers
+// told some bits of the word, those that may follow; on a lossless axis the bounds of all points.
 std::optional<WordRange> known_range(const NodeState& node) {
   if (node.shift > 0) {
     const std::uint64_t first = node.base + (at(node.bracket.lo) << node.shift);
@@ -92,7 +92,7 @@ WordRange next_range(NodeState& node, AllMinMax& measured) {
   const std::size_t first = std::exchange(node.word, node.context.axes());
   WordRange found;
   for (std::size_t word = first; word < node.context.axes(); ++word) {
-    WordRange range;
+    WordRange range;  // all must be taken, in this order
     measured.take(range.first, range.last);
     if (range.first == range.last || node.word < word) continue;
     node.word = word;

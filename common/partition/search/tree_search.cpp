@@ -116,16 +116,17 @@ bool TreeSearch::open(std::span<const Pending> pending) {
   std::vector<std::int32_t> unmade;
   for (const auto& [n, interval] : pending)
     for (const std::int32_t b : level_[n].wholes) {
-      if (!interval.meets(wholes_of(level_[n]).span(b)) || std::exchange(start_.buckets[at(b)].made, true)) continue;
+      if (!interval.meets(wholes_of(level_[n]).interval_of(b)) || std::exchange(start_.buckets[at(b)].has_points, true))
+        continue;
       unmade.push_back(b);
       result_.opened += start_.buckets[at(b)].load.count;
     }
-  if (result_.opened > start_.made_max) return false;
+  if (result_.opened > start_.opened_max) return false;
   if (!unmade.empty()) reduce_lossless(comm_, start_.make_points(unmade), start_.maps, particles_.dims, cost_);
   for (const auto& [n, interval] : pending) {
     Node& node = level_[n];
     const auto opened = std::ranges::stable_partition(
-        node.wholes, [&, wholes = wholes_of(node)](std::int32_t b) { return !interval.meets(wholes.span(b)); });
+        node.wholes, [&, wholes = wholes_of(node)](std::int32_t b) { return !interval.meets(wholes.interval_of(b)); });
     for (const std::int32_t b : opened) {
       for (Segment& segment : start_.points.take(at(b))) {
         kernels().widen(segment.bounds, segment.all());
@@ -145,7 +146,7 @@ bool TreeSearch::search_level() {
   for (CutFound& found : found_) found.right_empty = true;
   std::vector<Pending> pending = begin_level();
   for (std::size_t tries = 0; !pending.empty(); ++tries) {
-    RCB_CHECK(tries <= 2 + start_.buckets.size(), "each try but one opens a whole");
+    RCB_CHECK(tries <= 2 + start_.buckets.size(), "each try opens a whole, but for the first and the last one");
     if (!open(pending)) return false;
     std::vector<CutRequest> asked;
     for (const auto& [n, interval] : pending) {
@@ -223,7 +224,7 @@ Node TreeSearch::child(const Node& parent, const CutFound& found, bool right) {
   const std::int32_t key =
       found.right_empty ? AxisMap::kTop : start_.maps[at(parent.axes[0])](geometry::value_of_order_bits(found.key[0]));
   for (const std::int32_t b : parent.wholes) {
-    const Interval span = wholes_of(parent).span(b);
+    const Interval span = wholes_of(parent).interval_of(b);
     const bool goes_right = !found.right_empty && span.lo > key;
     RCB_CHECK(found.right_empty || goes_right || span.hi < key, "a cut leaves wholes whole");
     if (goes_right == right) own.wholes.push_back(b);

@@ -32,7 +32,7 @@ struct SearchStart {
   PointStore& points;                      // must outlive the result
   MakePoints make_points;
   // Of how many particles points may be made later: with more, a search among all takes less time.
-  std::uint64_t made_max = 0;
+  std::uint64_t opened_max = 0;
 };
 
 struct TreeFound {
