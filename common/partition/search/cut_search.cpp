@@ -31,10 +31,11 @@ void choose_next_phase(NodeState& node) {
     node.phase = Phase::gather;
   } else if (one_left) {
     node.phase = Phase::next_word;
-    const bool word_is_known = node.replaced ? node.shift <= node.zeros_of(node.word) : node.lossless(0);
+    const bool word_is_known =
+        node.word.replaced ? node.word.shift <= node.zeros_of(node.word.index) : node.lossless(0);
     if (!word_is_known) return;
-    ++node.word;
-    node.shift = 0;
+    ++node.word.index;
+    node.word.shift = 0;
   }
 }
 
@@ -42,7 +43,7 @@ void choose_next_phase(NodeState& node) {
 bool take_near(NodeState& node, const Crossing& crossing) {
   const CutRequest& request = node.request;
   const SearchContext& context = node.context;
-  if (request.slack == 0 || node.replaced) return false;
+  if (request.slack == 0 || node.word.replaced) return false;
   const auto load = [&](const Load& own) { return context.weighted() ? own.weight : u128{own.count}; };
   const u128 target = context.weighted() ? node.threshold : u128{request.rank};
   const auto off = [&](const Load& left) { return load(left) < target ? target - load(left) : load(left) - target; };
@@ -70,8 +71,8 @@ void narrow_to_bracket(NodeState& node) {
   const std::size_t axis = node.searched_axis();
   const Interval bracket = node.bracket;
   for (Segment& segment : node.segments()) {
-    const std::int32_t lo = node.replaced ? 0 : segment.bounds.lo[axis];
-    const std::int32_t hi = node.replaced ? AxisMap::kTop : segment.bounds.hi[axis];
+    const std::int32_t lo = node.word.replaced ? 0 : segment.bounds.lo[axis];
+    const std::int32_t hi = node.word.replaced ? AxisMap::kTop : segment.bounds.hi[axis];
     const auto divided = [&](std::int32_t first_right) {
       node.context.cost.bytes += 2 * segment.undecided().size_bytes();
       return divide(segment.undecided(), axis, first_right);
@@ -127,8 +128,8 @@ void start(NodeState& node) {
     const std::int64_t first = (node.bracket.lo + step - 1) / step * step;
     if (first <= node.bracket.hi) node.bracket.lo = static_cast<std::int32_t>(first);
   }
-  node.replaced = by_id;
-  if (one_place) node.word = node.context.axes();
+  node.word.replaced = by_id;
+  if (one_place) node.word.index = node.context.axes();
   node.phase = one_place && !by_id ? Phase::next_word : Phase::count;
   if (!weighted && node.inside <= node.context.gather_limit)
     node.phase = Phase::gather;

@@ -35,12 +35,15 @@ struct NodeState {
 
   // The key word that is searched; the undecided points share the ones before. Integers hold the coordinates or, if
   // they were replaced, (the word - base) >> shift.
-  std::size_t word = 0;
-  bool replaced = false;
-  std::uint64_t base = 0;
-  unsigned shift = 0;
-  std::vector<std::span<QuantisedPoint>> replaced_points{};  // this rank's: all integers were the same one
-  std::int32_t replaced_integer = 0;
+  struct Word {
+    std::size_t index = 0;
+    bool replaced = false;
+    std::uint64_t base = 0;
+    unsigned shift = 0;
+    std::vector<std::span<QuantisedPoint>> replaced_points{};  // this rank's: all integers were the same one
+    std::int32_t replaced_integer = 0;
+  };
+  Word word{};
 
   // The key next after `bound` is wanted. First backward: the last particle before it that has weight becomes the
   // bound.
@@ -59,7 +62,7 @@ struct NodeState {
   // The trailing zero bits of that axis' integers; 0 if it is not lossless.
   unsigned zeros_of(std::size_t w) const { return lossless(w) ? context.maps[axis_of(w)].zeros() : 0; }
   // The trailing zero bits of the integers that are searched.
-  unsigned zeros() const { return replaced ? 0 : zeros_of(0); }
+  unsigned zeros() const { return word.replaced ? 0 : zeros_of(0); }
 
   std::uint64_t word_of(std::size_t w, std::size_t particle) const {
     return w == context.axes() ? static_cast<std::uint64_t>(context.particles.id_of(particle))

@@ -41,23 +41,23 @@ void for_each_value(const NodeState& node, std::size_t word, std::size_t most, c
 // The values of the current word, as for_each_value() tells them, if no point must be looked at: where the integers
 // told some bits of the word, those that may follow; on a lossless axis the bounds of all points.
 std::optional<WordRange> known_range(const NodeState& node) {
-  if (node.shift > 0) {
-    const std::uint64_t first = node.base + (at(node.bracket.lo) << node.shift);
-    return WordRange{first, first + (std::uint64_t{1} << node.shift) - 1};
+  if (node.word.shift > 0) {
+    const std::uint64_t first = node.word.base + (at(node.bracket.lo) << node.word.shift);
+    return WordRange{first, first + (std::uint64_t{1} << node.word.shift) - 1};
   }
-  if (node.word == 0 || !node.lossless(node.word)) return std::nullopt;
+  if (node.word.index == 0 || !node.lossless(node.word.index)) return std::nullopt;
   const QBounds& bounds = node.request.points.bounds;
-  return WordRange{at(bounds.lo[node.axis_of(node.word)]), at(bounds.hi[node.axis_of(node.word)])};
+  return WordRange{at(bounds.lo[node.axis_of(node.word.index)]), at(bounds.hi[node.axis_of(node.word.index)])};
 }
 
 // The values of each coordinate from the current word on. Local.
 void measure_coordinates(const NodeState& node, AllMinMax& all) {
   const std::optional<Integers>& crowd = node.request.points.crowd;
   QBounds bounds;
-  if (crowd && !node.replaced)
+  if (crowd && !node.word.replaced)
     for (const Segment& segment : node.segments()) kernels().widen(bounds, segment.undecided());
   const bool same = crowd && bounds.lo == *crowd && bounds.hi == *crowd;
-  for (std::size_t word = node.word; word < node.context.axes(); ++word) {
+  for (std::size_t word = node.word.index; word < node.context.axes(); ++word) {
     WordRange range;
     for_each_value(node, word, same ? 1 : kAll, [&range](const QuantisedPoint&, std::uint64_t value) {
       range.first = std::min(range.first, value);
@@ -89,40 +89,40 @@ WordRange all_ids(SearchContext& context) {
 // Goes to the first word with more than one value, and tells its values: a coordinate, as they were measured, or the
 // id. Collective (as all_ids).
 WordRange next_range(NodeState& node, AllMinMax& measured) {
-  const std::size_t first = std::exchange(node.word, node.context.axes());
+  const std::size_t first = std::exchange(node.word.index, node.context.axes());
   WordRange found;
   for (std::size_t word = first; word < node.context.axes(); ++word) {
     WordRange range;  // all must be taken, in this order
     measured.take(range.first, range.last);
-    if (range.first == range.last || node.word < word) continue;
-    node.word = word;
+    if (range.first == range.last || node.word.index < word) continue;
+    node.word.index = word;
     found = range;
   }
-  if (node.word < node.context.axes()) return found;
+  if (node.word.index < node.context.axes()) return found;
   // A point that isn't undecided has another integer on the cut axis.
   for (const Segment& segment : node.segments())
-    if (first == 0 && !node.replaced && !segment.undecided().empty()) node.found.crowd = segment.undecided()[0].q;
+    if (first == 0 && !node.word.replaced && !segment.undecided().empty()) node.found.crowd = segment.undecided()[0].q;
   return all_ids(node.context);
 }
 
 // The integers are to hold the current word, which has these values.
 void write_word(NodeState& node, const WordRange& range) {
-  if (!node.replaced) {
-    node.replaced_integer = node.bracket.lo;
-    for (const Segment& segment : node.segments()) node.replaced_points.push_back(segment.undecided());
+  if (!node.word.replaced) {
+    node.word.replaced_integer = node.bracket.lo;
+    for (const Segment& segment : node.segments()) node.word.replaced_points.push_back(segment.undecided());
   }
-  node.base = range.first;
-  node.shift = std::max(shift_to(range.last - range.first, kWordBits), node.zeros_of(node.word));
+  node.word.base = range.first;
+  node.word.shift = std::max(shift_to(range.last - range.first, kWordBits), node.zeros_of(node.word.index));
   // Later windows of an id are for a few points only.
-  if (!node.replaced) node.found.by_id = node.request.points.one_place && node.shift == 0;
-  node.replaced = true;
-  node.bracket = {0, static_cast<std::int32_t>((range.last - range.first) >> node.shift)};
+  if (!node.word.replaced) node.found.by_id = node.request.points.one_place && node.word.shift == 0;
+  node.word.replaced = true;
+  node.bracket = {0, static_cast<std::int32_t>((range.last - range.first) >> node.word.shift)};
   node.phase = Phase::count;
-  for_each_value(
-      node, node.word, kAll,
-      [axis = node.searched_axis(), base = node.base, shift = node.shift](QuantisedPoint& point, std::uint64_t value) {
-        point.q[axis] = static_cast<std::int32_t>((value - base) >> shift);
-      });
+  for_each_value(node, node.word.index, kAll,
+                 [axis = node.searched_axis(), base = node.word.base, shift = node.word.shift](QuantisedPoint& point,
+                                                                                               std::uint64_t value) {
+                   point.q[axis] = static_cast<std::int32_t>((value - base) >> shift);
+                 });
 }
 
 }  // namespace
@@ -133,7 +133,7 @@ void next_words(SearchContext& context, NodeStates nodes) {
     if (!known_range(*node)) measure_coordinates(*node, measured);
   context.cost.reductions += measured.reduce(context.comm);
   for (NodeState* node : nodes) {
-    RCB_CHECK(node->word <= context.axes(), "two particles have the same id");
+    RCB_CHECK(node->word.index <= context.axes(), "two particles have the same id");
     const std::optional<WordRange> known = known_range(*node);
     write_word(*node, known ? *known : next_range(*node, measured));
   }
@@ -141,9 +141,9 @@ void next_words(SearchContext& context, NodeStates nodes) {
 
 void restore_integers(NodeState& node) {
   if (node.request.points.one_place) return;
-  for (const std::span<QuantisedPoint> points : node.replaced_points) {
+  for (const std::span<QuantisedPoint> points : node.word.replaced_points) {
     node.context.cost.bytes += 2 * points.size_bytes();
-    for (QuantisedPoint& point : points) point.q[node.axis_of(0)] = node.replaced_integer;
+    for (QuantisedPoint& point : points) point.q[node.axis_of(0)] = node.word.replaced_integer;
   }
 }
 
