@@ -67,7 +67,7 @@ void PointStore::append(const QuantisedPoint* points, const std::int32_t* bucket
 
 // A bucket seldom fills its last block: small ones waste less memory, large ones make fewer segments.
 std::size_t points_together(std::uint64_t count, std::size_t buckets, const Tuning& tuning) {
-  if (buckets > 1) return std::clamp<std::size_t>(std::min(count / 256, 4 * count / buckets), 64, 65536);
+  if (buckets > 1) return std::clamp<std::size_t>(std::min(count / 256, 4 * count / buckets), 64, 4096);
   return std::clamp<std::size_t>(count, 1, tuning.chunk_max + kBlock);
 }
 
