@@ -90,7 +90,7 @@ class Memory(Refusals, unittest.TestCase):
         self.assertEqual(client.ask("counts", scene="big")[0]["counts"], [1_750_000] * 4)
 
     def test_questions_and_a_push_with_next_to_no_memory_left(self):
-        service, client = self.service(900)
+        service, client = self.service(1000)  # the last push alone needs up to 880
         n = 4_000_000
         client.ask("scene.create", scene="big", parts=8, tolerance="inf")
         client.ask("load", scene="big", path=sparse(os.path.join(service.dir, "big.npy"), n))
