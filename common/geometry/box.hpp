@@ -28,6 +28,12 @@ struct Box {
       hi[a] = std::max(hi[a], point[a]);
     }
   }
+  // As extent(), of each side; 0 where it is empty, and on axes >= dims.
+  Point extents(int dims) const {
+    Point extents{};
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) extents[a] = std::max(extent(lo[a], hi[a]), 0.0);
+    return extents;
+  }
   // Changes nothing if `other` is empty.
   void extend(const Box& other) {
     for (std::size_t a = 0; a < kDimsMax; ++a) {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "common/base/index.hpp"
 #include "common/comm/wide_sum.hpp"
@@ -41,10 +42,8 @@ Status check(const PartitionOptions& options, int dims) {
 // The tree of equal boxes: every box is halved at lo/2 + hi/2 across its longest side.
 void halve(CutTree& tree, const NodeRange& range, const Point& lo, const Point& hi) {
   if (range.leaf()) return;
-  Point extents{};
-  for (std::size_t a = 0; a < static_cast<std::size_t>(tree.dims); ++a) extents[a] = geometry::extent(lo[a], hi[a]);
   Cut& cut = tree.cuts[static_cast<std::size_t>(range.node)];
-  cut.axes = geometry::order_by_extent(extents, tree.dims);
+  cut.axes = geometry::order_by_extent(geometry::Box{lo, hi}.extents(tree.dims), tree.dims);
   const auto axis = static_cast<std::size_t>(cut.axes[0]);
   const double middle = lo[axis] * 0.5 + hi[axis] * 0.5 + 0.0;
   cut.key = key_between(middle, tree.dims);  // coordinates equal to the middle go right
@@ -89,8 +88,10 @@ OwnShare put_all(const particles::ParticleView& particles, const Guide& guide, c
   if (guide.split) for_seeds(particles.count, [&](std::size_t first) { put(some.read(first), seeds); });
   const auto choose = [&](std::size_t first, Blocks& blocks, BucketsOfBlock& bucket) {
     const Axes& x = blocks.read(first);
-    if (guide.split) put(x, bucket);
-    std::copy_n(bucket.begin(), std::min(kBlock, particles.count - first), part.data() + first);
+    if (guide.split) {
+      put(x, bucket);
+      std::copy_n(bucket.begin(), std::min(kBlock, particles.count - first), part.data() + first);
+    }
     return ~std::uint64_t{0};
   };
   own.lossless = make_points(particles, maps, tuning, points, choose, [](auto&&...) {});

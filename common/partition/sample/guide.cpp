@@ -1,6 +1,7 @@
 #include "common/partition/sample/guide.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 #include "common/base/cpu.hpp"
 #include "common/base/index.hpp"
@@ -27,12 +28,7 @@ bool worth_splitters(const PartitionOptions& options, std::uint64_t count, std::
 // The upper cuts of a sample that is cut as the search cuts the set.
 void find_splitters(Sample sample, const PartitionOptions& options, int dims, Splitters& splitters) {
   SplitRule rule(options, dims);
-  const auto extents_of = [dims](Sample own) {
-    const geometry::Box box = box_of(own, dims);
-    Point extents{};
-    for (std::size_t a = 0; a < at(dims); ++a) extents[a] = std::max(geometry::extent(box.lo[a], box.hi[a]), 0.0);
-    return extents;
-  };
+  const auto extents_of = [dims](Sample own) { return box_of(own, dims).extents(dims); };
   rule.set_all(sample.size(), extents_of(sample));
   cut_sample(
       sample, {0, 0, options.parts}, 0, options.tuning,

@@ -1,6 +1,7 @@
 #include "common/partition/search/node.hpp"
 
 #include <algorithm>
+#include <limits>
 #include <numeric>
 
 namespace rcb::partition {
@@ -9,6 +10,12 @@ geometry::Box box_of(std::span<const Bucket> buckets, std::span<const std::int32
   geometry::Box box;
   for (const std::int32_t b : some) box.extend(buckets[at(b)].box);
   return box;
+}
+
+Load load_of(std::span<const Bucket> buckets, std::span<const std::int32_t> some) {
+  Load load;
+  for (const std::int32_t b : some) load += buckets[at(b)].load;
+  return load;
 }
 
 Interval Wholes::interval_of(std::int32_t bucket) const {
@@ -28,11 +35,7 @@ std::vector<std::int32_t> Wholes::in(const Interval& region) const {
   return found;
 }
 
-Load Wholes::load_in(const Interval& region) const {
-  Load load;
-  for (const std::int32_t b : in(region)) load += buckets_[at(b)].load;
-  return load;
-}
+Load Wholes::load_in(const Interval& region) const { return load_of(buckets_, in(region)); }
 
 std::int32_t Wholes::first_above(std::int32_t integer) const {
   std::int32_t first = AxisMap::kTop;

@@ -24,7 +24,9 @@ struct Node {
   bool empty() const { return wholes.empty() && points.bounds.empty(); }
 };
 
+// Of some buckets.
 geometry::Box box_of(std::span<const Bucket> buckets, std::span<const std::int32_t> some);
+Load load_of(std::span<const Bucket> buckets, std::span<const std::int32_t> some);
 
 // The wholes of a node on its cut axis. All is local. A load is a count or, with weights, a weight. `wanted`: the
 // prefix of keys that reaches this load ends with the wanted key.

@@ -82,7 +82,7 @@ std::vector<Point> NodeAxes::measure(std::span<Node* const> nodes) {
     for (std::size_t a = 0; a < at(particles_.dims); ++a) one_place = one_place && box.lo[a] == box.hi[a];
     nodes[n]->points.one_place = one_place;
     box.extend(box_of(buckets_, nodes[n]->wholes));
-    for (std::size_t a = 0; a < at(particles_.dims); ++a) extents[n][a] = geometry::extent(box.lo[a], box.hi[a]);
+    extents[n] = box.extents(particles_.dims);
   }
   return extents;
 }

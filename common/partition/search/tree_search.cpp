@@ -44,12 +44,8 @@ std::optional<TreeFound> TreeSearch::find(const comm::GoOn& go_on) {
   Node root{.range = result_.tree.root()};
   for (std::size_t b = 0; b < start_.buckets.size(); ++b)
     if (!start_.buckets[b].empty()) root.wholes.push_back(static_cast<std::int32_t>(b));
-  root.load = load_of(root.wholes);
-  const geometry::Box box = box_of(start_.buckets, root.wholes);
-  Point extents{};
-  for (std::size_t a = 0; a < at(particles_.dims) && !root.empty(); ++a)
-    extents[a] = geometry::extent(box.lo[a], box.hi[a]);
-  rule_.set_all(root.load.count, extents);
+  root.load = load_of(start_.buckets, root.wholes);
+  rule_.set_all(root.load.count, box_of(start_.buckets, root.wholes).extents(particles_.dims));
   if (root.empty())
     cut_empty(root.range);
   else
@@ -67,12 +63,6 @@ std::optional<TreeFound> TreeSearch::find(const comm::GoOn& go_on) {
 // The prefix of keys that reaches this load ends with the wanted key.
 u128 TreeSearch::load_wanted(const CutRequest& wanted) const {
   return start_.scale ? threshold_of(wanted) : u128{wanted.rank} + 1;
-}
-
-Load TreeSearch::load_of(std::span<const std::int32_t> buckets) const {
-  Load load;
-  for (const std::int32_t b : buckets) load += start_.buckets[at(b)].load;
-  return load;
 }
 
 // By how much load a cut may miss its target. The tolerance is a fraction of each side's target; the smaller one
@@ -136,7 +126,7 @@ bool TreeSearch::open(std::span<const Pending> pending) {
       node.points.bounds.extend(start_.buckets[at(b)].q);
     }
     node.wholes.erase(opened.begin(), opened.end());
-    node.points.load = node.load - load_of(node.wholes);
+    node.points.load = node.load - load_of(start_.buckets, node.wholes);
   }
   return true;
 }
@@ -229,7 +219,7 @@ Node TreeSearch::child(const Node& parent, const CutFound& found, bool right) {
     RCB_CHECK(found.right_empty || goes_right || span.hi < key, "a cut leaves wholes whole");
     if (goes_right == right) own.wholes.push_back(b);
   }
-  own.points.load = own.load - load_of(own.wholes);
+  own.points.load = own.load - load_of(start_.buckets, own.wholes);
   own.points.one_place = parent.points.one_place && parent.wholes.empty();
   own.points.by_id = parent.points.by_id || found.by_id;
   own.points.crowd = found.crowd ? found.crowd : parent.points.crowd;

@@ -61,7 +61,6 @@ class TreeSearch {
   u128 load_wanted(const CutRequest& wanted) const;
   u128 amount(const Load& load) const { return start_.scale ? load.weight : u128{load.count}; }
   Wholes wholes_of(const Node& node) const { return {start_.buckets, node, start_.scale.has_value()}; }
-  Load load_of(std::span<const std::int32_t> buckets) const;
 
   // A level's requests, and where their keys are looked for first. Local.
   std::vector<Pending> begin_level();
